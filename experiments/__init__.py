@@ -1,0 +1,1 @@
+"""The laboratory: everything with a side effect, on top of the library `sndjax`."""

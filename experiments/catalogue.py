@@ -1,0 +1,49 @@
+"""Which envpool tasks there are, and which of them can be trained on. Imports envpool."""
+
+import ctypes
+import importlib.util
+from pathlib import Path
+
+# Procgen's renderer needs Qt's Core and Gui and the ICU libraries below them. envpool
+# leaves them out; PyQt5-Qt5 carries them. Loaded before envpool, in order of dependency.
+QT_LIBRARIES = ("libicudata.so.56", "libicuuc.so.56", "libicui18n.so.56", "libQt5Core.so.5", "libQt5Gui.so.5")
+
+
+def load_qt() -> None:
+    """Make Qt's symbols known to the process, from the PyPI package where it is installed."""
+    package = importlib.util.find_spec("PyQt5")
+    for root in (package.submodule_search_locations or ()) if package else ():
+        for name in QT_LIBRARIES:
+            path = Path(root) / "Qt5" / "lib" / name
+            if path.is_file():
+                ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+
+
+load_qt()
+
+import envpool  # noqa: E402
+import gymnasium as gym  # noqa: E402
+from envpool.registration import registry  # noqa: E402
+
+from experiments.config import unknown  # noqa: E402
+from experiments.options import ConfigError  # noqa: E402
+
+FAMILIES = {"envpool.atari": "atari", "envpool.procgen": "procgen"}
+
+
+def family_of(task: str) -> str:
+    """The config family of an envpool task.
+
+    Raises:
+      ConfigError: there is no such task, or its actions are not one discrete choice.
+    """
+    known = envpool.list_all_envs()
+    if task not in known:
+        raise unknown("envpool task", task, known)
+    space = envpool.make_spec(task).action_space
+    if not isinstance(space, gym.spaces.Discrete):
+        raise ConfigError(
+            f"env.id={task} has {type(space).__name__} actions of shape {space.shape}; "
+            "only tasks with discrete actions can be trained on"
+        )
+    return FAMILIES.get(registry.specs[task][0], "plain")

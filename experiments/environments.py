@@ -1,0 +1,177 @@
+"""One pool of envpool environments for all seeds of a run, read as frames."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.catalogue import envpool, family_of, gym
+from experiments.options import ConfigError, EnvConfig
+
+UNBOUNDED = 1e6  # a bound beyond this is none
+MONTEZUMA_ROOM = 3  # the byte of RAM that numbers the room
+
+
+class Step(NamedTuple):
+    """What one step of every environment returned; all arrays are [S, N, ...]."""
+
+    frame: np.ndarray  # the newest observation; an episode's true last one where done
+    reward: np.ndarray  # float32, the training reward
+    score: np.ndarray  # float32, the game's own
+    done: np.ndarray
+    truncated: np.ndarray
+    valid: np.ndarray  # False where the environment reset itself instead
+    room: np.ndarray | None  # uint8, in Montezuma's Revenge
+
+
+def seeds_of(seed: int, num_envs: int, start: int) -> list[int]:
+    """One seed per environment, hashed from the run's seed and the iteration it starts at.
+
+    A resumed run therefore begins fresh streams, and seeds k and k + 1 share none.
+    """
+    return [
+        int(np.random.SeedSequence([seed, env, start]).generate_state(1)[0] & 0x7FFFFFFF)
+        for env in range(num_envs)
+    ]
+
+
+def leaves(space: Any, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+    """The plain spaces inside a dict space, with their paths, in order of their names."""
+    if isinstance(space, gym.spaces.Dict):
+        return [leaf for k in sorted(space.spaces) for leaf in leaves(space[k], (*path, k))]
+    return [(path, space)]
+
+
+class Images:
+    """uint8 images, channels last."""
+
+    unbounded: tuple[bool, ...] = ()
+
+    def __init__(self, space: Any):
+        first = space.shape[0] < space.shape[-1]
+        self.order = (0, 2, 3, 1) if first else (0, 1, 2, 3)
+        self.shape = tuple(space.shape[axis - 1] for axis in self.order[1:])
+        self.dtype = np.uint8
+
+    def read(self, observation: np.ndarray) -> np.ndarray:
+        return observation.transpose(self.order)
+
+
+class Vectors:
+    """Everything else as one float32 vector; bounded components scaled to [-1, 1]."""
+
+    def __init__(self, space: Any):
+        self.leaves = leaves(space)
+        low, high = zip(*(self.bounds(leaf) for _, leaf in self.leaves), strict=True)
+        low, high = np.concatenate(low), np.concatenate(high)
+        unbounded = (low < -UNBOUNDED) | (high > UNBOUNDED) | (low >= high)
+        self.unbounded = tuple(bool(x) for x in unbounded)
+        self.centre = np.where(unbounded, 0, (low + high) / 2).astype(np.float32)
+        self.half = np.where(unbounded, 1, (high - low) / 2).astype(np.float32)
+        self.shape, self.dtype = self.centre.shape, np.float32
+
+    @staticmethod
+    def bounds(space: Any) -> tuple[np.ndarray, np.ndarray]:
+        if isinstance(space, gym.spaces.Discrete):  # one-hot
+            return -np.ones(int(space.n)), np.ones(int(space.n))
+        if isinstance(space, gym.spaces.MultiBinary):
+            size = int(np.prod(space.shape))
+            return np.zeros(size), np.ones(size)
+        return space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
+
+    def read(self, observation: Any) -> np.ndarray:
+        parts = []
+        for path, space in self.leaves:
+            value = observation
+            for key in path:
+                value = value[key]
+            value = np.asarray(value)
+            if isinstance(space, gym.spaces.Discrete):
+                index = value.reshape(len(value)) - int(space.start)
+                value = 2.0 * np.eye(int(space.n), dtype=np.float32)[index] - 1.0
+            parts.append(value.reshape(len(value), -1).astype(np.float32))
+        return (np.concatenate(parts, axis=1) - self.centre) / self.half
+
+
+class Pool:
+    """S x N environments of one task, stepped together.
+
+    Attributes:
+      num_actions: A.
+      shape, dtype: of one frame: uint8 [H, W, C] or float32 [D].
+      unbounded: which components of a vector have no bounds.
+    """
+
+    def __init__(self, config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0):
+        """Make the environments.
+
+        Args:
+          config: the task and how it is read.
+          seeds: one per agent.
+          num_envs: environments of each.
+          start: the iteration the run starts at.
+
+        Raises:
+          ConfigError: envpool cannot make this task with these options.
+        """
+        family_of(config.id)
+        try:
+            self.envs = envpool.make(
+                config.id,
+                env_type="gymnasium",
+                num_envs=len(seeds) * num_envs,
+                seed=[s for seed in seeds for s in seeds_of(seed, num_envs, start)],
+                **config.options,
+            )
+        except Exception as error:  # envpool raises many kinds; all are about its input
+            message = str(error).strip().splitlines() or [repr(error)]
+            raise ConfigError(f"envpool cannot make {config.id}: {message[0]}") from None
+        self.config = config
+        self.rows = (len(seeds), num_envs)
+        space = self.envs.observation_space
+        image = (
+            isinstance(space, gym.spaces.Box)
+            and space.dtype == np.uint8
+            and len(space.shape) == 3
+            and sorted(space.shape)[1] >= 32
+        )
+        self.reader = Images(space) if image else Vectors(space)
+        self.shape, self.dtype = self.reader.shape, self.reader.dtype
+        self.unbounded = self.reader.unbounded
+        self.num_actions = int(self.envs.action_space.n)
+        self.rooms = config.id.startswith("MontezumaRevenge")
+
+    def split(self, x: np.ndarray) -> np.ndarray:
+        """From [S * N, ...] to [S, N, ...]."""
+        return x.reshape(*self.rows, *x.shape[1:])
+
+    def reset(self) -> np.ndarray:
+        """The first frame of every environment, [S, N, *frame]."""
+        observation, _ = self.envs.reset()
+        frame = self.reader.read(observation)
+        if len(frame) != self.rows[0] * self.rows[1]:
+            raise ConfigError(f"{self.config.id} has several players; only one can be trained")
+        return self.split(frame)
+
+    def step(self, action: np.ndarray) -> Step:
+        """Step every environment with its action, int [S, N]."""
+        observation, reward, terminated, truncated, info = self.envs.step(
+            np.asarray(action, np.int32).reshape(-1)
+        )
+        score = np.asarray(info.get("reward", reward), np.float32)
+        if self.config.reward == "sign":
+            reward = np.maximum(0, np.sign(reward))
+        elif self.config.reward == "goal":
+            reward = terminated & ~truncated
+        return Step(
+            self.split(self.reader.read(observation)),
+            self.split(np.asarray(reward, np.float32)),
+            self.split(score),
+            self.split(terminated | truncated),
+            self.split(truncated),
+            self.split(info["elapsed_step"] != 0),
+            self.split(info["ram"][:, MONTEZUMA_ROOM]) if self.rooms else None,
+        )
+
+    def close(self) -> None:
+        """Stop the environments' threads."""
+        self.envs.close()

@@ -1,0 +1,107 @@
+"""What a person sees while it runs: a live display on a terminal, else plain lines."""
+
+import sys
+import time
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+
+def clock(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
+
+
+def number(value: float | None, form: str = ".3g") -> str:
+    """A figure, or a dash where there is none yet."""
+    return "-" if value is None else format(value, form)
+
+
+class Progress:
+    """Shows the phase of the iteration with the time gone in it, and the latest figures."""
+
+    def __init__(self, title: str, total: int, done: int):
+        """Begin.
+
+        Args:
+          title: what is running and where it goes.
+          total, done: rows per seed, in all and so far.
+        """
+        self.total, self.done, self.start_done = total, done, done
+        self.start = self.since = time.monotonic()
+        self.name, self.estimate, self.share = "starting", None, None
+        self.figures: dict[str, str] = {}
+        self.live: Live | None = None
+        console = Console()
+        if console.is_terminal:
+            console.print(title)
+            self.live = Live(
+                get_renderable=self.render, console=console, refresh_per_second=4, transient=False
+            )
+            self.live.start()
+        else:
+            self.say(title)
+
+    def say(self, text: str) -> None:
+        """One line, at once."""
+        if self.live is not None:
+            self.live.console.print(text)
+        else:
+            print(text, flush=True)
+
+    def phase(self, name: str, estimate: float | None = None) -> None:
+        """A part of the iteration begins; it is expected to take `estimate` seconds."""
+        self.name, self.estimate, self.share = name, estimate, None
+        self.since = time.monotonic()
+
+    def within(self, share: float) -> None:
+        """How much of the phase is done, where that is known."""
+        self.share = share
+
+    def iteration(self, line: dict[str, Any]) -> None:
+        """An iteration is over; `line` holds its figures, means over seeds."""
+        self.done = line["step"]
+        self.figures = {
+            "steps/s": number(line["steps_per_second"], ",.0f"),
+            "left": clock(self.left()),
+            "last-100 return": number(line["last100_ext_return"]),
+            "novelty": number(line["int_reward_mean"]),
+            "clipped": number(line["int_reward_clipped"], ".0%"),
+            "entropy": number(line["entropy"]),
+        }
+        if self.live is None:
+            figures = "  ".join(f"{name} {value}" for name, value in self.figures.items())
+            print(f"step {self.done:,} of {self.total:,}  {figures}", flush=True)
+
+    def left(self) -> float:
+        """Seconds to the end, at the rate so far."""
+        gone = time.monotonic() - self.start
+        return gone * (self.total - self.done) / max(self.done - self.start_done, 1)
+
+    def render(self) -> Table:
+        """The display of this moment."""
+        gone = time.monotonic() - self.since
+        now = f"{self.name} {clock(gone)}"
+        if self.share is not None:
+            now += f" ({self.share:.0%})"
+        elif self.estimate is not None:
+            now += f" of about {clock(self.estimate)}"
+        width, filled = 30, round(30 * self.done / self.total)
+        table = Table.grid(padding=(0, 2))
+        bar = Text("━" * filled, "green") + Text("━" * (width - filled), "bright_black")
+        table.add_row(bar, f"{self.done:,} / {self.total:,} steps", now)
+        pairs = list(self.figures.items())
+        for row in (pairs[:3], pairs[3:]):
+            table.add_row(*(Text(f"{name} {value}", "cyan") for name, value in row))
+        return table
+
+    def close(self) -> None:
+        """Leave the last figures on the screen."""
+        if self.live is not None:
+            self.live.stop()
+        sys.stdout.flush()

@@ -1,0 +1,51 @@
+"""python -m experiments.run env=Venture algo=snd_std: one run from one command.
+
+Only the configuration is read before anything heavy is imported, so that bad input is
+refused in a moment.
+"""
+
+import os
+import sys
+import warnings
+
+from experiments.config import help_text, load
+from experiments.directory import Directory
+from experiments.options import ConfigError
+
+
+def refuse(error: object) -> int:
+    """Say in one line what was wrong with the input."""
+    print(f"sndjax: {' '.join(str(error).split())}", file=sys.stderr)
+    return 2
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command; returns its exit status (0 done, 2 bad input, 130 interrupted)."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if any(argument in ("-h", "--help", "help") for argument in arguments):
+        print(help_text())
+        return 0
+    warnings.filterwarnings("ignore", message=".*Box (low|high)'s precision.*")
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "1")
+    directory = None
+    try:
+        config = load(arguments)
+        directory = Directory(config)
+        from experiments.training import train
+
+        train(config, directory)
+    except ConfigError as error:
+        if directory is not None:
+            directory.abandon()
+        return refuse(error)
+    except OSError as error:
+        return refuse(f"cannot write the run: {error}")
+    except KeyboardInterrupt:
+        where = f"; go on with resume={directory.path}" if directory else ""
+        print(f"\nsndjax: interrupted{where}", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

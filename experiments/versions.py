@@ -1,0 +1,24 @@
+"""What a run ran on."""
+
+import platform
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+PACKAGES = ("jax", "jaxlib", "flax", "optax", "envpool", "numpy", "orbax-checkpoint")
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that figures depend on, the device, and the git revision."""
+    found = {"python": platform.python_version()}
+    found |= {name: version(name) for name in PACKAGES}
+    found["device"] = jax.devices()[0].device_kind
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        result = subprocess.run(git, capture_output=True, text=True, timeout=5, check=False)
+        found["revision"] = result.stdout.strip() or "unknown"
+    except OSError:
+        found["revision"] = "unknown"
+    return found

@@ -1,0 +1,1 @@
+"""Self-supervised objectives: what shapes an encoder."""

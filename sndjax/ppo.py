@@ -1,0 +1,105 @@
+"""Proximal policy optimization for two reward streams (Schulman et al., 2017)."""
+
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sndjax.statistics import masked_mean
+from sndjax.types import Metrics
+
+
+class Hyperparameters(NamedTuple):
+    """Table 5.2. `ext_weight` and `int_weight` add the two advantages."""
+
+    learning_rate: float = 1e-4
+    minibatch_size: int = 512
+    epochs: int = 4
+    clip: float = 0.1
+    gamma_ext: float = 0.998
+    gamma_int: float = 0.99
+    gae_lambda: float = 0.95
+    entropy_weight: float = 0.001
+    value_weight: float = 0.5
+    max_grad_norm: float = 0.5
+    ext_weight: float = 2.0
+    int_weight: float = 1.0
+    normalize_advantages: bool = False
+    bootstrap_truncated: bool = False
+    episodic_int: bool = True
+
+
+def log_prob(logits: Float[Array, "B A"], action: Int[Array, " B"]) -> Float[Array, " B"]:
+    """Log-probability of each action under the categorical distribution of its logits."""
+    return jnp.take_along_axis(jax.nn.log_softmax(logits), action[:, None], axis=-1)[:, 0]
+
+
+def entropy(logits: Float[Array, "B A"]) -> Float[Array, " B"]:
+    """Entropy in nats of the categorical distribution of each row of logits.
+
+    >>> entropy(jnp.zeros((1, 4))).round(4)
+    Array([1.3863], dtype=float32)
+    """
+    log_p = jax.nn.log_softmax(logits)
+    return -jnp.sum(jnp.exp(log_p) * log_p, axis=-1)
+
+
+def clipped_surrogate(
+    ratio: Float[Array, " B"], advantage: Float[Array, " B"], clip: float
+) -> Float[Array, " B"]:
+    """The objective to maximise: min(r A, clip(r, 1 - e, 1 + e) A), eq. 7 of the paper.
+
+    Args:
+      ratio: pi(a | s) / pi_old(a | s), one per row.
+      advantage: A, one per row.
+      clip: e.
+
+    >>> clipped_surrogate(jnp.array([1.5, 1.5]), jnp.array([1.0, -1.0]), 0.1)
+    Array([ 1.1, -1.5], dtype=float32)
+    """
+    chex.assert_rank([ratio, advantage], 1)
+    return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - clip, 1 + clip) * advantage)
+
+
+def loss(
+    logits: Float[Array, "B A"],
+    value: Float[Array, "B K"],
+    action: Int[Array, " B"],
+    old_log_prob: Float[Array, " B"],
+    advantage: Float[Array, " B"],
+    target: Float[Array, "B K"],
+    valid: Bool[Array, " B"],
+    hyper: Hyperparameters,
+) -> tuple[Float[Array, ""], Metrics]:
+    """The loss of one minibatch, over its valid rows::
+
+        - mean(clipped surrogate) + value_weight * sum_k mean((V_k - target_k)^2)
+        - entropy_weight * mean(entropy)
+
+    Args:
+      logits, value: what the network says now.
+      action, old_log_prob: what was done, and how likely it was then.
+      advantage: the weighted sum of both streams' advantages.
+      target: the return of each stream, one column per value head.
+      valid: False on reset rows.
+      hyper: the weights and the clipping range.
+
+    Returns:
+      The scalar loss, and its terms with the KL estimate mean(ratio - 1 - ln ratio) and
+      the share of rows whose ratio was clipped.
+    """
+    log_ratio = log_prob(logits, action) - old_log_prob
+    ratio = jnp.exp(log_ratio)
+    policy = -masked_mean(clipped_surrogate(ratio, advantage, hyper.clip), valid)
+    error = jnp.sum(masked_mean((value - target) ** 2, valid))
+    spread = masked_mean(entropy(logits), valid)
+    total = policy + hyper.value_weight * error - hyper.entropy_weight * spread
+    return total, {
+        "policy_loss": policy,
+        "value_loss": error,
+        "entropy": spread,
+        "kl": masked_mean(ratio - 1 - log_ratio, valid),
+        "ratio_clipped": masked_mean((jnp.abs(ratio - 1) > hyper.clip).astype(ratio.dtype), valid),
+    }

@@ -1,0 +1,37 @@
+"""What a frame goes through before it enters a motivation network (section 5.2.2)."""
+
+from collections.abc import Callable
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Shaped
+
+from sndjax.convolution import to_float
+from sndjax.statistics import deviation
+from sndjax.types import Moments
+
+Preprocess = Literal["none", "mean", "standardize"]
+
+
+def preprocessor(
+    mode: Preprocess, moments: Moments | None
+) -> Callable[[Shaped[Array, "B *frame"]], Shaped[Array, "B *frame"]]:
+    """A function of a batch of frames, pixels being read as x / 255.
+
+    - `none`: nothing. Pixels stay `uint8`; the first layer converts them.
+    - `mean`: minus the running mean.
+    - `standardize`: minus the running mean, over the running standard deviation, clipped to
+      [-1, 1].
+
+    >>> preprocessor("mean", Moments(1.0, jnp.array([0.5]), jnp.zeros(1)))(jnp.ones((1, 1)))
+    Array([[0.5]], dtype=float32)
+    """
+    if mode == "none" or moments is None:
+        return lambda frame: frame
+
+    def centre(frame: Shaped[Array, "B *frame"]) -> Float[Array, "B *frame"]:
+        return to_float(frame) - moments.mean[None]
+
+    if mode == "mean":
+        return centre
+    return lambda frame: jnp.clip(centre(frame) / deviation(moments)[None], -1.0, 1.0)

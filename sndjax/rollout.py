@@ -1,0 +1,112 @@
+"""Reading a rollout: minibatches of rows, stacks of frames, slices of time."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, Shaped
+
+from sndjax.statistics import expand
+from sndjax.types import Experience, Rollout, Transition
+
+SLICE = 512  # frames that go through an encoder at once when rewards are read
+
+
+class Stack(NamedTuple):
+    """How many of the newest frames the policy sees, and what stands before an episode's first."""
+
+    size: int = 1
+    repeat: bool = True  # the first frame again (Atari); False: zeros (Procgen)
+
+
+def transitions(rollout: Rollout, index: Int[Array, " B"]) -> Transition:
+    """The rows `index` of the flattened rollout, row t of environment n being t * N + n."""
+    steps, envs = rollout.action.shape
+    frames = rollout.frames.reshape((steps + 1) * envs, *rollout.frames.shape[2:])
+    take = lambda x: x.reshape(-1)[index]
+    return Transition(
+        frames[index],
+        take(rollout.action),
+        frames[index + envs],
+        take(rollout.first),
+        take(rollout.done),
+        take(rollout.valid),
+    )
+
+
+def without_invalid(batch: Transition) -> Transition:
+    """The same minibatch with the contents of its invalid rows replaced by zeros.
+
+    A mask on the loss alone would not do: 0 times NaN is NaN in the backward pass.
+    """
+
+    def clean(x):
+        return jnp.where(expand(batch.valid, x), x, jnp.zeros_like(x))
+
+    return batch._replace(
+        frame=clean(batch.frame),
+        action=clean(batch.action),
+        next_frame=clean(batch.next_frame),
+        first=batch.first & batch.valid,
+        done=batch.done & batch.valid,
+    )
+
+
+def push(
+    window: Shaped[Array, "S N *frame"],
+    frame: Shaped[Array, "N *frame"],
+    first: Bool[Array, " N"],
+    repeat: bool,
+) -> Shaped[Array, "S N *frame"]:
+    """The next stack, oldest frame first; a new episode's holds nothing of the one before."""
+    shifted = jnp.concatenate([window[1:], frame[None]])
+    older = jnp.broadcast_to(frame, window[1:].shape) if repeat else jnp.zeros_like(window[1:])
+    fresh = jnp.concatenate([older, frame[None]])
+    return jnp.where(expand(first[None], fresh), fresh, shifted)
+
+
+def channels(stacked: Shaped[Array, "S B *frame"]) -> Shaped[Array, "B *stack"]:
+    """A stack as the policy reads it: its frames side by side on the last axis, oldest first."""
+    return jnp.concatenate(list(stacked), axis=-1)
+
+
+def age(first: Bool[Array, "T N"], limit: int) -> Int[Array, "T N"]:
+    """Steps since the episode began, at most `limit`; `limit` too where it began before."""
+
+    def step(count, first):
+        count = jnp.where(first, 0, jnp.minimum(count + 1, limit))
+        return count, count
+
+    return lax.scan(step, jnp.full(first.shape[1:], limit, jnp.int32), first)[1]
+
+
+def stacker(batch: Experience, stack: Stack) -> Callable[[Int[Array, " B"]], Array]:
+    """A function from flat row indices to the stacks the policy saw there."""
+    envs, shape = batch.history.shape[1], batch.history.shape[2:]
+    older = stack.size - 1
+    frames = jnp.concatenate([batch.history, batch.rollout.frames]).reshape(-1, *shape)
+    ages = age(batch.rollout.first, older).reshape(-1)
+
+    def stacks(index):
+        own = ages[index]
+
+        def back(k):
+            seen = jnp.minimum(k, own) if stack.repeat else k
+            frame = frames[index + (older - seen) * envs]
+            return frame if stack.repeat else jnp.where(expand(k <= own, frame), frame, jnp.zeros_like(frame))
+
+        return channels(jnp.stack([back(k) for k in range(older, -1, -1)]))
+
+    return stacks
+
+
+def map_steps(
+    function: Callable[[Shaped[Array, "M *frame"]], Float[Array, " M"]],
+    frames: Shaped[Array, "T N *frame"],
+) -> Float[Array, "T N"]:
+    """Apply a function of a batch of frames to all of `frames[T, N]`, some time steps at once."""
+    steps, envs = frames.shape[:2]
+    together = max(g for g in range(1, steps + 1) if steps % g == 0 and (g == 1 or g * envs <= SLICE))
+    slices = frames.reshape(steps // together, together * envs, *frames.shape[2:])
+    return lax.map(function, slices).reshape(steps, envs)

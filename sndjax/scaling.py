@@ -1,0 +1,47 @@
+"""From a novelty signal to the reward that the agent gets for it."""
+
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sndjax.statistics import deviation, update_return_scale
+from sndjax.types import ReturnScale
+
+RewardScale = Literal["none", "running_std"]
+
+
+def scale_reward(
+    signal: Float[Array, "T N"],
+    valid: Bool[Array, "T N"],
+    scale: ReturnScale,
+    mode: RewardScale,
+    eta: float,
+    discount: float,
+) -> tuple[Float[Array, "T N"], Float[Array, "T N"], ReturnScale]:
+    """The intrinsic reward of a signal, and the share of it that was cut off.
+
+    - `none` (the thesis): clip(eta * signal, 0, 1).
+    - `running_std` (Burda et al., 2018): eta * signal over the running standard deviation of
+      the signal's discounted sum over time, this rollout included; no clip.
+
+    Args:
+      signal: the module's novelty, 0 on reset rows.
+      valid: False on reset rows.
+      scale: the running scale so far; only `running_std` moves it.
+      mode, eta: see above.
+      discount: of the sum, the intrinsic gamma.
+
+    Returns:
+      The reward, 1 where the clip bound and 0 where it did not, and the new scale.
+
+    >>> from sndjax.statistics import init_return_scale
+    >>> signal, valid = jnp.array([[0.5, 4.0]]), jnp.ones((1, 2), bool)
+    >>> scale_reward(signal, valid, init_return_scale(2), "none", 0.5, 0.99)[:2]
+    (Array([[0.25, 1.  ]], dtype=float32), Array([[0., 1.]], dtype=float32))
+    """
+    if mode == "running_std":
+        scale = update_return_scale(scale, signal, valid, discount)
+        return eta * signal / deviation(scale.moments), jnp.zeros_like(signal), scale
+    reward = eta * signal
+    return jnp.clip(reward, 0.0, 1.0), (reward > 1).astype(reward.dtype), scale

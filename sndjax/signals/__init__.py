@@ -1,0 +1,1 @@
+"""Novelty signals: what is read off an encoder."""

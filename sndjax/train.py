@@ -1,0 +1,334 @@
+"""One iteration of learning: `train_step(state, batch)`, composed of pure functions.
+
+A rollout goes through each room once: intrinsic rewards -> advantages of both reward
+streams -> PPO epochs -> one pass of the motivation module.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+
+from sndjax import ppo
+from sndjax.networks import ActorCritic
+from sndjax.returns import generalized_advantage
+from sndjax.rollout import Stack, channels, push, stacker, transitions
+from sndjax.scaling import RewardScale, scale_reward
+from sndjax.statistics import deviation, expand, init_return_scale, no_moments, update_moments
+from sndjax.types import Experience, IntrinsicModule, Metrics, Moments, Params, TrainState
+
+
+class Motivation(NamedTuple):
+    """A novelty module and how its signal and its training are used."""
+
+    module: IntrinsicModule
+    eta: float = 0.5
+    reward_scale: RewardScale = "none"
+    learning_rate: float = 1e-4
+    minibatch_size: int = 512
+    shuffle: bool = False  # False: minibatches are runs of consecutive time steps
+
+
+class Agent(NamedTuple):
+    """Everything about an agent that learning does not change."""
+
+    network: ActorCritic
+    ppo: ppo.Hyperparameters
+    motivation: Motivation | None = None  # None: plain PPO with one value head
+    stack: Stack = Stack()
+    unbounded: tuple[bool, ...] = ()  # which components of a vector have no bounds
+    random_action: float = 0.0  # the share of actions that the environment gets at random
+
+    def optimizers(self) -> tuple[optax.GradientTransformation, optax.GradientTransformation]:
+        """Adam for the policy, with its gradient norm clipped, and for the module."""
+        policy = optax.chain(
+            optax.clip_by_global_norm(self.ppo.max_grad_norm), optax.adam(self.ppo.learning_rate)
+        )
+        return policy, optax.adam(self.motivation.learning_rate if self.motivation else 0.0)
+
+
+class Actor(NamedTuple):
+    """The part of a `TrainState` that acting needs."""
+
+    policy: Params
+    observations: Moments
+    key: PRNGKeyArray
+
+
+class Decision(NamedTuple):
+    """What a policy did at one time step."""
+
+    action: Int[Array, " N"]
+    executed: Int[Array, " N"]  # the action, or now and then a random one in its place
+    log_prob: Float[Array, " N"]
+    value: Float[Array, "N K"]
+
+
+def scale_vectors(
+    frames: Shaped[Array, "*rows D"], moments: Moments, unbounded: tuple[bool, ...]
+) -> Shaped[Array, "*rows D"]:
+    """Vectors with their unbounded components divided by the running deviation."""
+    if not any(unbounded):
+        return frames
+    scale = jnp.where(np.array(unbounded), deviation(moments), 1.0)
+    return frames / scale.reshape((1,) * (frames.ndim - 1) + (-1,))
+
+
+def init(agent: Agent, key: PRNGKeyArray, example: Shaped[Array, "N *frame"]) -> TrainState:
+    """The state before the first iteration; `example` gives the shape and dtype of frames."""
+    key, key_policy, key_module = jax.random.split(key, 3)
+    window = jnp.broadcast_to(example[:1], (agent.stack.size, *example[:1].shape))
+    policy = agent.network.init(key_policy, channels(window))
+    intrinsic, intrinsic_state = (
+        agent.motivation.module.init(key_module, example) if agent.motivation else ({}, {})
+    )
+    policy_optimizer, intrinsic_optimizer = agent.optimizers()
+    return TrainState(
+        policy,
+        policy_optimizer.init(policy),
+        intrinsic,
+        intrinsic_optimizer.init(intrinsic),
+        intrinsic_state,
+        init_return_scale(example.shape[0]),
+        no_moments(example.shape[1:] if any(agent.unbounded) else ()),
+        key,
+        jnp.zeros((), jnp.int32),
+    )
+
+
+def act(
+    agent: Agent,
+    actor: Actor,
+    window: Shaped[Array, "S N *frame"],
+    frame: Shaped[Array, "N *frame"],
+    first: Bool[Array, " N"],
+    step: Int[Array, ""],
+) -> tuple[Decision, Shaped[Array, "S N *frame"]]:
+    """Push the newest frame onto the stack and sample an action from the policy.
+
+    Args:
+      agent, actor: whose policy.
+      window: the stack before this frame.
+      frame: the newest observation of every environment.
+      first: where it opens an episode.
+      step: the time step within the rollout; with the actor's key it seeds the draw.
+
+    Returns:
+      The decision and the stack with this frame.
+    """
+    window = push(window, frame, first, agent.stack.repeat)
+    seen = scale_vectors(window, actor.observations, agent.unbounded)
+    logits, value = agent.network.apply(actor.policy, channels(seen))
+    key = jax.random.fold_in(jax.random.fold_in(actor.key, 1), step)
+    key_action, key_random, key_which = jax.random.split(key, 3)
+    action = jax.random.categorical(key_action, logits)
+    executed = action
+    if agent.random_action > 0:
+        instead = jax.random.randint(key_which, action.shape, 0, agent.network.num_actions)
+        replaced = jax.random.bernoulli(key_random, agent.random_action, action.shape)
+        executed = jnp.where(replaced, instead, action)
+    return Decision(action, executed, ppo.log_prob(logits, action), value), window
+
+
+def clean(batch: Experience) -> Experience:
+    """The batch with what reset rows hold, frames apart, replaced by zeros."""
+    rollout = batch.rollout
+    valid = rollout.valid
+    zero = lambda x: jnp.where(expand(valid, x), x, jnp.zeros_like(x))
+    return batch._replace(
+        rollout=rollout._replace(
+            action=zero(rollout.action), first=rollout.first & valid, done=rollout.done & valid
+        ),
+        reward=zero(batch.reward),
+        truncated=batch.truncated & valid,
+        log_prob=zero(batch.log_prob),
+    )
+
+
+def advantages(
+    hyper: ppo.Hyperparameters, batch: Experience, int_reward: Float[Array, "T N"]
+) -> tuple[Float[Array, "T N"], Float[Array, "T N K"]]:
+    """The weighted advantage of both streams, and the value targets of every head."""
+    rollout = batch.rollout
+    truncated = batch.truncated if hyper.bootstrap_truncated else None
+    streams = [(batch.reward, hyper.gamma_ext, True), (int_reward, hyper.gamma_int, hyper.episodic_int)]
+    weights = (hyper.ext_weight, hyper.int_weight)
+    heads = batch.value.shape[-1]
+    estimates = [
+        generalized_advantage(
+            reward,
+            batch.value[..., k],
+            rollout.done,
+            rollout.valid,
+            gamma,
+            hyper.gae_lambda,
+            truncated,
+            episodic,
+        )
+        for k, (reward, gamma, episodic) in enumerate(streams[:heads])
+    ]
+    total = sum(w * a for w, a in zip(weights[:heads], estimates, strict=True))
+    targets = jnp.stack(estimates, axis=-1) + batch.value[:-1]
+    valid = rollout.valid
+    if hyper.normalize_advantages:
+        mean = jnp.mean(total, where=valid)
+        total = jnp.where(valid, (total - mean) / (jnp.std(total, where=valid) + 1e-8), 0.0)
+    return total, jnp.where(expand(valid, targets), targets, 0.0)
+
+
+def train_policy(
+    agent: Agent,
+    state: TrainState,
+    batch: Experience,
+    advantage: Float[Array, "T N"],
+    target: Float[Array, "T N K"],
+    key: PRNGKeyArray,
+) -> tuple[TrainState, Metrics]:
+    """The PPO epochs: one permutation of the rollout, gone through `epochs` times."""
+    hyper, rollout = agent.ppo, batch.rollout
+    stacks = stacker(batch, agent.stack)
+    optimizer, _ = agent.optimizers()
+    rows = advantage.size
+    index = jax.random.permutation(key, rows).reshape(-1, hyper.minibatch_size)
+    flat = lambda x: x.reshape(rows, *x.shape[2:])
+    columns = [flat(x) for x in (rollout.action, batch.log_prob, advantage, target, rollout.valid)]
+
+    def loss(params, stacked, *rows):
+        return ppo.loss(*agent.network.apply(params, stacked), *rows, hyper)
+
+    def minibatch(carry, index):
+        params, optimizer_state = carry
+        gradient, metrics = jax.grad(loss, has_aux=True)(
+            params, stacks(index), *(column[index] for column in columns)
+        )
+        updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
+        metrics["grad_norm"] = optax.global_norm(gradient)
+        return (optax.apply_updates(params, updates), optimizer_state), metrics
+
+    (policy, optimizer_state), metrics = lax.scan(
+        minibatch, (state.policy, state.policy_optimizer), jnp.tile(index, (hyper.epochs, 1))
+    )
+    return state._replace(policy=policy, policy_optimizer=optimizer_state), mean_of(metrics)
+
+
+def train_module(
+    agent: Agent, state: TrainState, batch: Experience, key: PRNGKeyArray
+) -> tuple[TrainState, Metrics]:
+    """One pass of the motivation module over the rollout."""
+    motivation, rollout = agent.motivation, batch.rollout
+    assert motivation is not None
+    module = motivation.module
+    _, optimizer = agent.optimizers()
+    key_order, key_loss = jax.random.split(key)
+    rows = jnp.arange(rollout.action.size)
+    if motivation.shuffle:
+        rows = jax.random.permutation(key_order, rows)
+    index = rows.reshape(-1, motivation.minibatch_size)
+
+    def minibatch(carry, inputs):
+        params, optimizer_state, module_state = carry
+        index, key = inputs
+        gradient, metrics = jax.grad(module.loss, has_aux=True)(
+            params, module_state, transitions(rollout, index), rollout, key
+        )
+        updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
+        params = optax.apply_updates(params, updates)
+        metrics["module_grad_norm"] = optax.global_norm(gradient)
+        return (params, optimizer_state, module.update(params, module_state)), metrics
+
+    start = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
+    keys = jax.random.split(key_loss, index.shape[0])
+    (params, optimizer_state, module_state), metrics = lax.scan(minibatch, start, (index, keys))
+    state = state._replace(
+        intrinsic=params, intrinsic_optimizer=optimizer_state, intrinsic_state=module_state
+    )
+    return state, mean_of(metrics)
+
+
+def mean_of(metrics: dict[str, Array]) -> Metrics:
+    """The mean over minibatches of every metric."""
+    return {name: jnp.mean(value) for name, value in metrics.items()}
+
+
+def intrinsic_reward(
+    agent: Agent, state: TrainState, batch: Experience, key: PRNGKeyArray
+) -> tuple[TrainState, Float[Array, "T N"], Metrics]:
+    """The rollout's intrinsic rewards, with the weights that collected it."""
+    motivation, rollout = agent.motivation, batch.rollout
+    valid = rollout.valid
+    if motivation is None:
+        reward = clipped = signal = jnp.zeros(valid.shape)
+    else:
+        signal, module_state = motivation.module.reward(
+            state.intrinsic, state.intrinsic_state, rollout, key
+        )
+        reward, clipped, reward_scale = scale_reward(
+            signal,
+            valid,
+            state.reward_scale,
+            motivation.reward_scale,
+            motivation.eta,
+            agent.ppo.gamma_int,
+        )
+        state = state._replace(intrinsic_state=module_state, reward_scale=reward_scale)
+    some = jnp.any(valid)
+    mean = lambda x: jnp.where(some, jnp.mean(x, where=valid), 0.0)
+    return state, reward, {
+        "int_signal_mean": mean(signal),
+        "int_reward_mean": mean(reward),
+        "int_reward_std": jnp.where(some, jnp.std(reward, where=valid), 0.0),
+        "int_reward_max": jnp.max(reward, where=valid, initial=0.0),
+        "int_reward_clipped": mean(clipped),
+    }
+
+
+def make_train_step(
+    agent: Agent,
+) -> Callable[[TrainState, Experience], tuple[TrainState, Metrics, Float[Array, "T N"]]]:
+    """`train_step(state, batch)`: the whole of one iteration's learning, to be jitted.
+
+    The step returns the new state, the iteration's metrics (scalars; losses are means over
+    its minibatches) and the intrinsic rewards. It is pure: `jax.vmap` of it trains one
+    agent per seed. Both minibatch sizes must divide T * N.
+
+    >>> from sndjax import VECTOR, Experience, Rollout
+    >>> agent = Agent(ActorCritic(VECTOR, 3, value_heads=1), ppo.Hyperparameters(minibatch_size=4))
+    >>> state = init(agent, jax.random.key(0), jnp.zeros((2, 5)))
+    >>> no, yes = jnp.zeros((4, 2), bool), jnp.ones((4, 2), bool)
+    >>> rollout = Rollout(jnp.zeros((5, 2, 5)), jnp.zeros((4, 2), int), no, no, yes)
+    >>> zero = jnp.zeros((4, 2))
+    >>> batch = Experience(rollout, jnp.zeros((0, 2, 5)), zero, no, zero, jnp.zeros((5, 2, 1)))
+    >>> state, metrics, int_reward = jax.jit(make_train_step(agent))(state, batch)
+    >>> f"{metrics['entropy']:.3f}"
+    '1.099'
+    """
+
+    def train_step(state: TrainState, batch: Experience) -> tuple[TrainState, Metrics, Any]:
+        batch = clean(batch)
+        raw, valid = batch.rollout.frames, batch.rollout.valid
+        scale = lambda x: scale_vectors(x, state.observations, agent.unbounded)
+        batch = batch._replace(
+            history=scale(batch.history), rollout=batch.rollout._replace(frames=scale(raw))
+        )
+        # Acting folds 1 into the state's key; folding 0 keeps these draws apart from those.
+        key, key_reward, key_policy, key_module = jax.random.split(
+            jax.random.fold_in(state.key, 0), 4
+        )
+        state, int_reward, metrics = intrinsic_reward(agent, state, batch, key_reward)
+        advantage, target = advantages(agent.ppo, batch, int_reward)
+        state, terms = train_policy(agent, state, batch, advantage, target, key_policy)
+        metrics |= terms
+        if agent.motivation is not None:
+            state, terms = train_module(agent, state, batch, key_module)
+            metrics |= terms
+        if any(agent.unbounded):
+            moments = update_moments(state.observations, raw[:-1], valid)
+            state = state._replace(observations=moments)
+        return state._replace(key=key, iteration=state.iteration + 1), metrics, int_reward
+
+    return train_step

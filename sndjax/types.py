@@ -1,0 +1,130 @@
+"""The nouns of sndjax: every type that crosses a file, with its shapes.
+
+T is the rollout length, N the number of environments, B a minibatch, d the
+feature width, K the number of value heads. A *frame* is one observation without
+its stack: `uint8[H, W, C]` for pixels, `float32[D]` for vectors.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import optax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+
+Params = Any  # a pytree of arrays
+State = Any  # a pytree of arrays
+Metrics = dict[str, Float[Array, ""]]
+
+
+class Rollout(NamedTuple):
+    """T steps of N environments, each frame stored once.
+
+    `frames[t + 1]` is the state that followed `frames[t]` for every valid row, the
+    true last observation of an episode included. A row that is not valid is an
+    environment resetting itself: its frames come from two different episodes.
+    """
+
+    frames: Shaped[Array, "T+1 N *frame"]
+    action: Int[Array, "T N"]  # the one the policy chose, not the one a sticky key made of it
+    first: Bool[Array, "T N"]  # frames[t] opens an episode
+    done: Bool[Array, "T N"]  # the episode ended with this row
+    valid: Bool[Array, "T N"]  # False: a reset row, no transition
+
+
+class Experience(NamedTuple):
+    """A rollout with what the policy needs to learn from it: the `batch` of `train_step`."""
+
+    rollout: Rollout
+    history: Shaped[Array, "S-1 N *frame"]  # the older frames of the first stack, oldest first
+    reward: Float[Array, "T N"]  # the environment's training reward
+    truncated: Bool[Array, "T N"]  # done by a step limit rather than by the game
+    log_prob: Float[Array, "T N"]  # of `action`, when it was chosen
+    value: Float[Array, "T+1 N K"]  # external first, intrinsic second
+
+
+class Transition(NamedTuple):
+    """A minibatch of rows of a rollout."""
+
+    frame: Shaped[Array, "B *frame"]
+    action: Int[Array, " B"]
+    next_frame: Shaped[Array, "B *frame"]
+    first: Bool[Array, " B"]
+    done: Bool[Array, " B"]
+    valid: Bool[Array, " B"]
+
+
+class Features(NamedTuple):
+    """What an encoder made of a minibatch, computed once and shared by objective and signal."""
+
+    z: Float[Array, "B d"]
+    z_next: Float[Array, "B d"]
+    local: Float[Array, "B I J C"]  # an intermediate layer, kept in its positions
+    local_next: Float[Array, "B I J C"]
+
+
+Encode = Callable[[Shaped[Array, "B *frame"]], tuple[Float[Array, "B d"], Float[Array, "B I J C"]]]
+
+
+class Objective(NamedTuple):
+    """A self-supervised loss that shapes an encoder. All of it is pure.
+
+    init: (key, features, num_actions) -> params
+    loss: (params, encode, features, batch, rollout, key) -> (scalar, metrics)
+
+    `encode` maps further frames through the encoder that made `features`.
+    """
+
+    init: Callable[[PRNGKeyArray, Features, int], Params]
+    loss: Callable[
+        [Params, Encode, Features, Transition, Rollout, PRNGKeyArray],
+        tuple[Float[Array, ""], Metrics],
+    ]
+
+
+class IntrinsicModule(NamedTuple):
+    """A novelty bonus: an encoder, an objective and a signal as four pure functions.
+
+    init:   (key, example[N, *frame]) -> (params, state)
+    reward: (params, state, rollout, key) -> (float32[T, N], state), the signal, unscaled
+    loss:   (params, state, batch, rollout, key) -> (scalar, metrics), differentiated in params
+    update: (params, state) -> state, after each optimizer step
+    """
+
+    init: Callable[[PRNGKeyArray, Shaped[Array, "N *frame"]], tuple[Params, State]]
+    reward: Callable[
+        [Params, State, Rollout, PRNGKeyArray], tuple[Float[Array, "T N"], State]
+    ]
+    loss: Callable[
+        [Params, State, Transition, Rollout, PRNGKeyArray],
+        tuple[Float[Array, ""], Metrics],
+    ]
+    update: Callable[[Params, State], State]
+
+
+class Moments(NamedTuple):
+    """Running mean and spread of a stream of arrays, weighted by sample counts."""
+
+    count: Float[Array, ""]
+    mean: Float[Array, "*shape"]
+    m2: Float[Array, "*shape"]  # sum of squared distances from the mean
+
+
+class ReturnScale(NamedTuple):
+    """The running spread of a reward's discounted sum over time."""
+
+    moments: Moments
+    discounted: Float[Array, " N"]  # the sum so far, one per environment
+
+
+class TrainState(NamedTuple):
+    """Everything that learning changes, in one pytree."""
+
+    policy: Params
+    policy_optimizer: optax.OptState
+    intrinsic: Params
+    intrinsic_optimizer: optax.OptState
+    intrinsic_state: State
+    reward_scale: ReturnScale
+    observations: Moments  # of vector observations; empty for pixels
+    key: PRNGKeyArray
+    iteration: Int[Array, ""]
