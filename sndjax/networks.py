@@ -4,7 +4,7 @@ Weights are orthogonal with the gains of the published experiments, biases zero.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import flax.linen as nn
@@ -12,10 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Shaped
 
-from sndjax.convolution import convolve, to_float
+from sndjax.convolution import ACTIVATIONS, Activation, convolve, to_float
 
 ROOT_2 = math.sqrt(2.0)
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"elu": jax.nn.elu, "relu": jax.nn.relu}
 
 
 class Convolution(NamedTuple):
@@ -74,23 +73,21 @@ class Torso(nn.Module):
     convolutions: Sequence[Convolution]
     hidden: Sequence[int]
     gain: float
-    activation: str
+    activation: Activation
 
     @nn.compact
     def __call__(self, x: Shaped[Array, "B *frame"]) -> tuple[Float[Array, "B f"], Array]:
-        activation = ACTIVATIONS[self.activation]
         if not self.convolutions:
             x = to_float(x).reshape(x.shape[0], -1)
             for width in self.hidden:
-                x = activation(linear(width, self.gain)(x))
+                x = ACTIVATIONS[self.activation](linear(width, self.gain)(x))
             return x, x[:, None, None, :]
         local = x
         for i, layer in enumerate(self.convolutions):
             shape = (layer.size, layer.size, x.shape[-1], layer.channels)
             kernel = self.param(f"kernel_{i}", nn.initializers.orthogonal(self.gain), shape)
             bias = self.param(f"bias_{i}", nn.initializers.zeros, (layer.channels,))
-            x = convolve(x, kernel, layer.stride, layer.padding)
-            x = activation(x + bias[None, None, None, :])
+            x = convolve(x, kernel, bias, layer.stride, layer.padding, self.activation)
             if i == 2:
                 local = x
         return x.reshape(x.shape[0], -1), local
@@ -107,8 +104,8 @@ class Encoder(nn.Module):
     features: int
     gain: float
     extra: int = 0
-    activation: str = "elu"  # after convolutions and hidden layers
-    extra_activation: str = "elu"  # between the linear layers
+    activation: Activation = "elu"  # after convolutions and hidden layers
+    extra_activation: Activation = "elu"  # between the linear layers
 
     @nn.compact
     def __call__(
