@@ -1,20 +1,58 @@
 """How long the first update will take, before any was timed."""
 
+import math
 import time
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
-import sndjax
-from sndjax import ppo
-from sndjax.rollout import transitions
-
-SHARE_OF_PEAK = 0.4  # of a plain matrix product's rate, for an estimate that is rather long
+SHARE_OF_PEAK = 0.6  # of a plain matrix product's rate; about what an update reaches
 
 
-def product_rate(size: int = 1536) -> float:
-    """Floating-point operations per second of a float32 matrix product here and now."""
+def operations(jaxpr: Jaxpr) -> float:
+    """Floating-point operations of the products and convolutions in a program.
+
+    A loop's body counts as often as it runs (a `while` without a known length, once).
+
+    >>> from jax import lax
+    >>> a = jnp.ones((10, 10))
+    >>> program = jax.make_jaxpr(lambda a: lax.scan(lambda x, _: (x @ a, None), a, length=3)[0])
+    >>> operations(program(a).jaxpr)
+    6000.0
+    """
+    total = 0.0
+    for equation in jaxpr.eqns:
+        size = math.prod(getattr(equation.outvars[0].aval, "shape", ())) if equation.outvars else 0
+        if equation.primitive.name == "dot_general":
+            contracted = equation.params["dimension_numbers"][0][0]
+            shape = equation.invars[0].aval.shape
+            total += 2.0 * size * math.prod(shape[axis] for axis in contracted)
+        elif equation.primitive.name == "conv_general_dilated":
+            kernel = equation.invars[1].aval.shape
+            out = equation.params["dimension_numbers"].rhs_spec[0]
+            total += 2.0 * size * math.prod(kernel) / kernel[out]
+        times = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
+        total += times * sum(operations(inner) for inner in programs(equation.params.values()))
+    return total
+
+
+def programs(values: Any) -> list[Jaxpr]:
+    """The programs among an operation's parameters: bodies of loops, branches, calls."""
+    found = []
+    for value in values:
+        if isinstance(value, ClosedJaxpr):
+            found.append(value.jaxpr)
+        elif isinstance(value, Jaxpr):
+            found.append(value)
+        elif isinstance(value, (tuple, list)):
+            found += programs(value)
+    return found
+
+
+def product_rate(size: int = 2048) -> float:
+    """Floating-point operations per second of a float32 matrix product, here and now."""
     product = jax.jit(lambda a: a @ a)
     a = jnp.ones((size, size))
     product(a).block_until_ready()
@@ -23,36 +61,6 @@ def product_rate(size: int = 1536) -> float:
     return 2 * size**3 / (time.monotonic() - begun)
 
 
-def operations(function: Any, *args: Any) -> float:
-    """Floating-point operations of a function, as XLA counts them without compiling."""
-    cost = jax.jit(function).lower(*args).cost_analysis()
-    return float(cost.get("flops", 0.0)) if cost else 0.0
-
-
-def update_seconds(agent: sndjax.Agent, state: Any, batch: Any, seeds: int) -> float:
-    """A rough time for one update of all seeds: its operations at a share of the product's rate."""
-    shape = lambda tree: jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), tree)
-    state, batch = shape(state), shape(batch)
-    rows, size = batch.reward.size, agent.ppo.minibatch_size
-    older = batch.history.shape[0]
-    frame = batch.rollout.frames.shape[2:]
-    stacked = jax.ShapeDtypeStruct(
-        (size, *frame[:-1], frame[-1] * (older + 1)), batch.rollout.frames.dtype
-    )
-
-    def policy(params, stacked):
-        logits, value = agent.network.apply(params, stacked)
-        return jnp.sum(ppo.entropy(logits)) + jnp.sum(value)
-
-    total = operations(jax.grad(policy), state.policy, stacked) * agent.ppo.epochs * rows / size
-    if agent.motivation is not None:
-        module, size = agent.motivation.module, agent.motivation.minibatch_size
-
-        def loss(params, module_state, rollout, key):
-            few = transitions(rollout, jnp.arange(size))
-            return module.loss(params, module_state, few, rollout, key)[0]
-
-        args = (state.intrinsic, state.intrinsic_state, batch.rollout, state.key)
-        total += operations(jax.grad(loss), *args) * rows / size
-        total += operations(module.reward, *args)
-    return seeds * total / (SHARE_OF_PEAK * product_rate())
+def seconds(jaxpr: Jaxpr) -> float:
+    """A rough time for one run of a program whose work is in its products."""
+    return operations(jaxpr) / (SHARE_OF_PEAK * product_rate())

@@ -19,6 +19,11 @@ def refuse(error: object) -> int:
     return 2
 
 
+def console() -> None:
+    """The `sndjax` script."""
+    sys.exit(main())
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns its exit status (0 done, 2 bad input, 130 interrupted)."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -48,4 +53,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    console()

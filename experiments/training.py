@@ -18,9 +18,9 @@ from experiments.collect import Collector
 from experiments.directory import Directory
 from experiments.environments import Pool
 from experiments.episodes import Episodes
-from experiments.estimate import update_seconds
+from experiments.estimate import seconds
 from experiments.options import Config, ConfigError
-from experiments.progress import Progress
+from experiments.progress import Progress, clock
 from experiments.records import Records
 from sndjax.algorithms import NAMED
 
@@ -166,11 +166,12 @@ class Run:
             collected = time.monotonic()
             if update is None:
                 progress.phase("compiling the update")
-                update = self.train_step.lower(state, batch).compile(compiler_options())
-                expected = update_seconds(self.agent, state, batch, len(self.seeds))
+                traced = self.train_step.trace(state, batch)
+                update = traced.lower().compile(compiler_options())
+                expected = seconds(traced.jaxpr.jaxpr)
                 progress.say(
                     f"update compiled in {time.monotonic() - collected:.0f} s; "
-                    f"the first one takes about {expected:.0f} s"
+                    f"each takes about {clock(expected)}"
                 )
             progress.phase("learning", expected)
             learning = time.monotonic()

@@ -28,7 +28,7 @@ from sndjax.types import (
     Transition,
 )
 
-__version__ = "0.1.0"
+from sndjax.version import __version__
 
 __all__ = [
     "ATARI",
@@ -69,4 +69,5 @@ __all__ = [
     "transitions",
     "vicreg",
     "vicreg_loss",
+    "__version__",
 ]

@@ -1,0 +1,28 @@
+# make demo   train PPO and SND-VIC on MountainCar and draw both learning curves
+# make test   the test suite
+# make check  formatter, linter and type checker
+# make .venv  the environment alone; PYTHON=python3.12 picks another Python
+PYTHON ?= python3
+RUN := .venv/bin/python
+
+.PHONY: .venv demo test check format
+.venv: .venv/.complete
+
+.venv/.complete: requirements.txt pyproject.toml bootstrap.py
+	@command -v $(PYTHON) >/dev/null || { echo "sndjax: no $(PYTHON) here; install Python 3.11 or newer, or say make PYTHON=..." >&2; exit 2; }
+	@$(PYTHON) bootstrap.py
+
+demo: .venv/.complete
+	@$(RUN) -m experiments.demo
+
+test: .venv/.complete
+	@$(RUN) -m pytest
+
+check: .venv/.complete
+	@$(RUN) -m ruff check .
+	@$(RUN) -m ruff format --check .
+	@$(RUN) -m mypy
+
+format: .venv/.complete
+	@$(RUN) -m ruff check --fix .
+	@$(RUN) -m ruff format .

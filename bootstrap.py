@@ -1,0 +1,95 @@
+"""Makes .venv with the pinned requirements: `make .venv` runs it with any Python.
+
+It must be readable by old Pythons, so that it can tell them that they are too old.
+"""
+
+import os
+import platform
+import subprocess
+import sys
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+VENV = os.path.join(HERE, ".venv")
+LOG = os.path.join(HERE, ".venv", "install.log")
+
+
+def stop(message):
+    sys.stderr.write("sndjax: %s\n" % message)
+    sys.exit(2)
+
+
+def check_platform():
+    if sys.version_info < (3, 11):
+        stop(
+            "needs Python 3.11 or newer, and %s is %s; install one and say: make PYTHON=python3.12"
+            % (sys.executable, platform.python_version())
+        )
+    if sys.platform != "linux" or platform.machine() not in ("x86_64", "AMD64"):
+        stop(
+            "is locked to the wheels of Linux on x86-64, and this is %s on %s; use a container "
+            "or a remote machine" % (platform.system(), platform.machine())
+        )
+
+
+def last_line(text):
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if "ERROR" in line or "rror:" in line]
+    return (errors or lines or ["no message"])[-1]
+
+
+def make_venv():
+    """The environment, and the command that installs into it."""
+    command = [sys.executable, "-m", "venv", "--clear", VENV]
+    inside = os.path.join(VENV, "bin", "python")
+    try:
+        import ensurepip  # noqa: F401
+
+        subprocess.run(command, check=True, capture_output=True, text=True)
+        return [inside, "-m", "pip"]
+    except ImportError:  # Debian splits it off
+        pass
+    except subprocess.CalledProcessError as error:
+        stop("cannot make %s: %s" % (VENV, last_line(error.stderr or error.stdout)))
+    try:
+        subprocess.run([*command, "--without-pip"], check=True, capture_output=True, text=True)
+        pip = [sys.executable, "-m", "pip", "--python", inside]
+        subprocess.run([*pip, "--version"], check=True, capture_output=True, text=True)
+        return pip
+    except subprocess.CalledProcessError:
+        stop("this Python has neither ensurepip nor pip; install python3-venv (apt) or pip (pip.pypa.io)")
+
+
+def install(pip, title, *arguments):
+    """Run pip, its output in the log and one line of it on the screen."""
+    print("%s (log: .venv/install.log)" % title)
+    command = [*pip, "install", "--disable-pip-version-check", "--progress-bar", "off", *arguments]
+    with open(LOG, "a") as log:
+        process = subprocess.Popen(
+            command, cwd=HERE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        text, count = "", 0
+        for line in process.stdout:
+            log.write(line)
+            text += line
+            if line.startswith("Collecting"):
+                count += 1
+                print("  %3d  %s" % (count, line.split()[1].split("==")[0]), flush=True)
+        if process.wait() == 0:
+            return
+    network = ("NewConnectionError", "Temporary failure", "ConnectTimeout", "No address", "timed out")
+    if any(sign in text for sign in network):
+        stop("cannot reach the package index; connect to a network and say make .venv again")
+    stop("installation failed, see .venv/install.log: %s" % last_line(text))
+
+
+def main():
+    check_platform()
+    print("making .venv with %s" % sys.executable, flush=True)
+    pip = make_venv()
+    install(pip, "installing the pinned packages, about 1 GB", "--no-deps", "-r", "requirements.txt")
+    install(pip, "installing sndjax itself", "--no-deps", "--no-build-isolation", "-e", ".")
+    open(os.path.join(VENV, ".complete"), "w").close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,17 @@
+"""Shapes in signatures are checked at run time, and shapes never broadcast by accident."""
+
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+# Before the first import of the library, so that its functions are wrapped.
+install_import_hook("sndjax", "beartype.beartype")
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forget_compilations():
+    """Programs compiled for one file are let go with it: a process can map only so many."""
+    yield
+    jax.clear_caches()

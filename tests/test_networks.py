@@ -1,0 +1,112 @@
+"""Sizes worked out by hand from the thesis' network table; start values from its gains."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sndjax import ATARI, PROCGEN, VECTOR, ActorCritic, rnd, snd_std, snd_vic
+
+
+def count(tree):
+    return sum(int(np.prod(x.shape)) for x in jax.tree.leaves(tree))
+
+
+FRAMES = {
+    "atari": ((96, 96, 1), ATARI, 18),
+    "procgen": ((64, 64, 3), PROCGEN, 15),
+    "vector": ((2,), VECTOR, 3),
+}
+# 9*1*32+32 + 9*32*64+64 + 9*64*64+64 + 9*64*128+128 + 12*12*128*512+512, and so on.
+ENCODERS = [
+    (snd_std, "atari", 9_567_296, 10_092_608),
+    (snd_vic, "atari", 9_567_296, 10_092_608),
+    (rnd, "atari", 4_776_608, 5_301_920),
+    (snd_std, "procgen", 2_190_912, 2_716_224),
+    (snd_vic, "procgen", 2_190_912, 4_850_304),
+    (rnd, "procgen", 2_159_264, 2_684_576),
+    (snd_std, "vector", 8_512, 8_512),
+    (snd_vic, "vector", 8_512, 8_512),
+    (rnd, "vector", 8_512, 8_512),
+]
+
+
+def example(kind):
+    shape, _, _ = FRAMES[kind]
+    return jnp.zeros((2, *shape), jnp.uint8 if len(shape) == 3 else jnp.float32)
+
+
+@pytest.mark.parametrize(("make", "kind", "target", "learned"), ENCODERS)
+def test_encoders_have_the_parameters_of_the_table(make, kind, target, learned):
+    _, size, actions = FRAMES[kind]
+    module = make(actions, size)
+    params, state = jax.eval_shape(module.init, jax.random.key(0), example(kind))
+    assert count(params["target"] if "target" in params else state["target"]) == target
+    assert count(params["learned"]) == learned
+    if make is snd_std:
+        width, local = (64, 64) if kind == "vector" else (512, 64)
+        assert count(params["objective"]) == width * local + local + local * local + local
+
+
+@pytest.mark.parametrize(
+    ("kind", "stack", "parameters"),
+    [("atari", 4, 10_103_732), ("procgen", 2, 2_725_809), ("vector", 1, 17_157)],
+)
+def test_actor_critic_has_the_parameters_of_the_table(kind, stack, parameters):
+    shape, size, actions = FRAMES[kind]
+    stacked = jnp.zeros((2, *shape[:-1], shape[-1] * stack), example(kind).dtype)
+    network = ActorCritic(size, actions)
+    params = jax.eval_shape(network.init, jax.random.key(0), stacked)
+    assert count(params) == parameters
+    logits, value = jax.eval_shape(network.apply, params, stacked)
+    assert logits.shape == (2, actions)
+    assert value.shape == (2, 2)
+
+
+@pytest.mark.parametrize(("kind", "local"), [("atari", (12, 12, 64)), ("procgen", (8, 8, 64)), ("vector", (1, 1, 64))])
+def test_local_map_is_the_third_layer(kind, local):
+    from sndjax.algorithms import pair
+
+    _, size, _ = FRAMES[kind]
+    target, _ = pair(size, (size.convolutions(size.last),) * 2, (0.5, 0.5), "elu")
+    params = jax.eval_shape(target.init, jax.random.key(0), example(kind))
+    z, maps = jax.eval_shape(target.apply, params, example(kind))
+    assert z.shape == (2, size.features)
+    assert maps.shape == (2, *local)
+
+
+def test_weights_are_orthogonal_with_the_gains_of_the_table_and_biases_zero():
+    network = ActorCritic(VECTOR, 3)
+    params = network.init(jax.random.key(0), jnp.zeros((1, 2)))["params"]
+    root = np.sqrt(2)
+    gains = {"Dense_0": root, "Dense_1": 0.01, "Dense_2": 0.01, "Dense_3": 0.1, "Dense_4": 0.01}
+    gains |= {"Dense_5": 0.01}
+    for name, gain in gains.items():
+        kernel = np.asarray(params[name]["kernel"], np.float64)
+        np.testing.assert_allclose(np.linalg.svd(kernel)[1], gain, rtol=1e-4)
+        assert not np.any(params[name]["bias"])
+    assert set(params) == {*gains, "Torso_0"}
+
+
+def test_convolutions_are_orthogonal_with_the_gain_of_the_table():
+    module = snd_std(18)
+    params, _ = module.init(jax.random.key(0), example("atari"))
+    for encoder in (params["target"], params["learned"]):
+        torso = encoder["params"]["Torso_0"]
+        for i in range(4):
+            kernel = np.asarray(torso[f"kernel_{i}"], np.float64)
+            kernel = kernel.reshape(-1, kernel.shape[-1])
+            np.testing.assert_allclose(np.linalg.svd(kernel)[1], 0.5, rtol=1e-4)
+            assert not np.any(torso[f"bias_{i}"])
+
+
+def test_one_head_stands_behind_an_extra_relu():
+    one = ActorCritic(VECTOR, 3, value_heads=1)
+    x = jnp.ones((4, 2))
+    params = one.init(jax.random.key(0), x)
+    torso = jax.tree.map(jnp.zeros_like, params)
+    torso["params"]["Dense_0"]["bias"] -= 1.0  # a negative torso output, cut off by the ReLU
+    torso["params"]["Dense_3"]["kernel"] += 1.0
+    torso["params"]["Dense_4"]["kernel"] += 1.0
+    assert np.all(one.apply(torso, x)[1] == 0)
+    assert one.apply(params, x)[1].shape == (4, 1)

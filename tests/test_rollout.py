@@ -1,0 +1,73 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from builders import KINDS, experience, rollout
+
+from sndjax.rollout import Stack, channels, map_steps, push, stacker, transitions, without_invalid
+
+ATARI = KINDS[0]
+
+
+def test_transitions_are_the_rows_of_the_rollout():
+    made = rollout(ATARI, np.random.default_rng(0), steps=5, envs=3)
+    index = jnp.array([7, 0, 14, 7])
+    batch = transitions(made, index)
+    for row, i in enumerate(index):
+        t, n = divmod(int(i), 3)
+        np.testing.assert_array_equal(batch.frame[row], made.frames[t, n])
+        np.testing.assert_array_equal(batch.next_frame[row], made.frames[t + 1, n])
+        for name in ("action", "first", "done", "valid"):
+            assert getattr(batch, name)[row] == getattr(made, name)[t, n]
+
+
+def test_without_invalid_clears_the_rows_that_do_not_count_and_no_others():
+    made = rollout(KINDS[2], np.random.default_rng(0), chance=0.5)
+    batch = transitions(made, jnp.arange(made.action.size))
+    dirty = batch._replace(frame=jnp.where(batch.valid[:, None], batch.frame, jnp.nan))
+    clean = without_invalid(dirty)
+    valid = np.asarray(batch.valid)
+    assert not valid.all()
+    np.testing.assert_array_equal(clean.frame[valid], batch.frame[valid])
+    assert np.all(np.asarray(clean.frame[~valid]) == 0)
+    assert np.all(np.asarray(clean.next_frame[~valid]) == 0)
+
+
+@pytest.mark.parametrize("stack", [Stack(4, True), Stack(2, False), Stack(1, True)])
+@pytest.mark.parametrize("seed", range(5))
+def test_stacks_of_a_minibatch_are_those_pushed_while_acting(stack, seed):
+    rng = np.random.default_rng(seed)
+    steps, envs = 12, 3
+    batch = experience(ATARI, rng, steps, envs, stack.size)
+    made = batch.rollout
+    # What acting saw: the window before this rollout, then one frame after another.
+    window = jnp.concatenate([batch.history[:1], batch.history, made.frames[:1]])[-stack.size :]
+    window = jnp.concatenate([window[:1], window[:-1]])
+    seen = []
+    for t in range(steps):
+        window = push(window, made.frames[t], made.first[t], stack.repeat)
+        if t == 0:
+            batch = batch._replace(history=window[:-1])
+        seen.append(channels(window))
+    wanted = jnp.stack(seen).reshape(steps * envs, *seen[0].shape[1:])
+    index = jnp.asarray(rng.permutation(steps * envs))
+    valid = np.asarray(made.valid).reshape(-1)[np.asarray(index)]
+    got = stacker(batch, stack)(index)
+    np.testing.assert_array_equal(got[valid], wanted[index][valid])
+
+
+def test_a_new_episode_sees_nothing_of_the_one_before():
+    old, new = jnp.full((3, 2, 1), 7, jnp.uint8), jnp.full((2, 1), 9, jnp.uint8)
+    first = jnp.array([True, False])
+    repeated = push(old, new, first, True)
+    zeros = push(old, new, first, False)
+    np.testing.assert_array_equal(repeated[:, 0, 0], [9, 9, 9])
+    np.testing.assert_array_equal(zeros[:, 0, 0], [0, 0, 9])
+    for window in (repeated, zeros):
+        np.testing.assert_array_equal(window[:, 1, 0], [7, 7, 9])
+
+
+@pytest.mark.parametrize(("steps", "envs"), [(7, 3), (6, 400), (1, 1)])
+def test_map_steps_applies_to_every_frame(steps, envs):
+    x = np.random.default_rng(0).normal(size=(steps, envs, 2)).astype(np.float32)
+    got = map_steps(lambda frames: frames.sum(-1), jnp.asarray(x))
+    np.testing.assert_allclose(got, x.sum(-1), rtol=1e-5)
