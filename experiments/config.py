@@ -36,7 +36,7 @@ def options(node: Any = Config, prefix: str = "") -> Iterator[tuple[str, Any]]:
     for entry in fields(node):
         if is_dataclass(entry.type):
             yield from options(entry.type, f"{prefix}{entry.name}.")
-        else:
+        elif entry.name != "name":  # of a group's choice; not for changing
             yield prefix + entry.name, entry
 
 

@@ -207,7 +207,7 @@ def train_policy(
             params, stacks(index), *(column[index] for column in columns)
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
-        metrics["grad_norm"] = optax.global_norm(gradient)
+        metrics["grad_norm"] = optax.tree.norm(gradient)
         return (optax.apply_updates(params, updates), optimizer_state), metrics
 
     (policy, optimizer_state), metrics = lax.scan(
@@ -238,7 +238,7 @@ def train_module(
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         params = optax.apply_updates(params, updates)
-        metrics["module_grad_norm"] = optax.global_norm(gradient)
+        metrics["module_grad_norm"] = optax.tree.norm(gradient)
         return (params, optimizer_state, module.update(params, module_state)), metrics
 
     start = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)

@@ -7,6 +7,8 @@ from jaxtyping import install_import_hook
 # Before the first import of the library, so that its functions are wrapped.
 install_import_hook("sndjax", "beartype.beartype")
 
+# What is compiled here runs once or twice: most of the time would go into optimising it.
+jax.config.update("jax_disable_most_optimizations", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 

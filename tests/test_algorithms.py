@@ -108,9 +108,9 @@ def test_black_frames_have_finite_gradients(name, kind):
 
 
 def test_distillation_on_a_fixed_batch_falls(name, kind):
-    """Against a target that stays: two hundred steps of the learned network alone."""
+    """Against a target that stays: some steps of the learned network alone."""
     module, params, state, batch = made(name, kind)
-    rows, optimizer = all_rows(batch), optax.adam(1e-3)
+    rows, optimizer = all_rows(batch), optax.adam(3e-3)
     rest = {k: v for k, v in params.items() if k != "learned"}
 
     @jax.jit
@@ -122,15 +122,16 @@ def test_distillation_on_a_fixed_batch_falls(name, kind):
 
     learned, optimizer_state = params["learned"], optimizer.init(params["learned"])
     values = []
-    for key in jax.random.split(jax.random.key(0), 200):
+    steps = 400 if kind.name == "vector" else 40
+    for key in jax.random.split(jax.random.key(0), steps):
         learned, optimizer_state, value = step(learned, optimizer_state, key)
         values.append(float(value))
-    assert np.mean(values[-20:]) < 0.5 * np.mean(values[:5])
+    assert np.mean(values[-5:]) < 0.5 * np.mean(values[:5])
 
 
 def test_a_state_seen_often_is_less_novel_than_one_never_seen(name, kind):
     module, params, state, batch = made(name, kind)
-    seen, optimizer = all_rows(batch), optax.adam(1e-3)
+    seen, optimizer = all_rows(batch), optax.adam(3e-3)
 
     @jax.jit
     def step(params, optimizer_state, key):
@@ -139,7 +140,8 @@ def test_a_state_seen_often_is_less_novel_than_one_never_seen(name, kind):
         return optax.apply_updates(params, updates), optimizer_state
 
     optimizer_state = optimizer.init(params)
-    for key in jax.random.split(jax.random.key(1), 1000):
+    steps = 1000 if kind.name == "vector" else 150
+    for key in jax.random.split(jax.random.key(1), steps):
         params, optimizer_state = step(params, optimizer_state, key)
     other = rollout(kind, np.random.default_rng(99))
     novelty = lambda r: module.reward(params, state, r, key)[0][np.asarray(r.valid)].mean()

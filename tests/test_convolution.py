@@ -10,7 +10,8 @@ LAYERS = [(3, 2, 1), (3, 1, 1), (8, 4, 2)]  # size, stride, padding
 
 def brute_force(x, kernel, bias, stride, padding):
     """Cross-correlation in float64, one output at a time."""
-    x = np.pad(x.astype(np.float64), ((0, 0), (padding,) * 2, (padding,) * 2, (0, 0)))
+    x, kernel = np.asarray(x, np.float64), np.asarray(kernel, np.float64)
+    x = np.pad(x, ((0, 0), (padding,) * 2, (padding,) * 2, (0, 0)))
     size = kernel.shape[0]
     rows = (x.shape[1] - size) // stride + 1
     columns = (x.shape[2] - size) // stride + 1
@@ -18,8 +19,8 @@ def brute_force(x, kernel, bias, stride, padding):
     for i in range(rows):
         for j in range(columns):
             window = x[:, i * stride : i * stride + size, j * stride : j * stride + size]
-            y[:, i, j] = np.einsum("bhwc,hwco->bo", window, kernel.astype(np.float64))
-    return y + bias
+            y[:, i, j] = np.einsum("bhwc,hwco->bo", window, kernel)
+    return y + np.asarray(bias)
 
 
 def layer(rng, size, batch=5, side=12, channels=3, out=4):

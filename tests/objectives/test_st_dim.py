@@ -137,7 +137,9 @@ def test_the_objective_maps_the_next_states_features():
         for part in dense[name].values():
             assert np.abs(part).max() <= 1 / np.sqrt(fan_in)
             assert np.abs(part).max() > 0.5 / np.sqrt(fan_in)
-    mapped = lambda x, name: np.asarray(x) @ dense[name]["kernel"] + np.asarray(dense[name]["bias"])
+    mapped = lambda x, name: (
+        np.asarray(x) @ np.asarray(dense[name]["kernel"]) + np.asarray(dense[name]["bias"])
+    )
     valid = jnp.ones(rows, bool)
     batch = Transition(None, None, None, None, None, valid)
     got, _ = objective.loss(params, None, features, batch, None, None)

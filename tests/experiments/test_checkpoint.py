@@ -1,0 +1,51 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sndjax
+from experiments.checkpoint import KEEP, Checkpoints
+from experiments.options import ConfigError
+from experiments.training import over_seeds
+from sndjax.algorithms import NAMED
+
+
+def first_state(name, width=16):
+    size = sndjax.VECTOR._replace(features=width, hidden=(8, 8))
+    make = NAMED[name]
+    motivation = sndjax.Motivation(make(3, size)) if make else None
+    network = sndjax.ActorCritic(size, 3, 2 if make else 1)
+    agent = sndjax.Agent(network, sndjax.Hyperparameters(), motivation)
+    init = over_seeds(lambda key: sndjax.init(agent, key, jnp.zeros((4, 2))), 2)
+    return jax.jit(init)(jnp.stack([jax.random.key(0), jax.random.key(1)]))
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_state_comes_back_bit_for_bit(name, tmp_path):
+    state = first_state(name)
+    checkpoints = Checkpoints(tmp_path)
+    assert checkpoints.restore(jax.eval_shape(lambda: state)) is None
+    for iteration in (1, 2, 3):
+        checkpoints.save(iteration, state._replace(iteration=state.iteration + iteration))
+    checkpoints.close()
+    again = Checkpoints(tmp_path)
+    assert len(again.manager.all_steps()) == KEEP
+    iteration, restored = again.restore(jax.eval_shape(lambda: state))
+    again.close()
+    assert iteration == 3
+    state = state._replace(iteration=state.iteration + 3)
+    assert jax.tree.structure(state) == jax.tree.structure(restored)
+    raw = lambda tree: tree._replace(key=jax.random.key_data(tree.key))
+    for one, other in zip(
+        jax.tree.leaves(raw(state)), jax.tree.leaves(raw(restored)), strict=True
+    ):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_checkpoint_of_other_sizes_is_refused(tmp_path):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, first_state("rnd"))
+    with pytest.raises(ConfigError, match="checkpoint 1 cannot be restored"):
+        checkpoints.restore(jax.eval_shape(lambda: first_state("rnd", width=8)))
+    checkpoints.close()

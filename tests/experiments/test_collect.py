@@ -1,0 +1,63 @@
+"""A rollout against a plain loop over the same environments."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sndjax
+from experiments.collect import Collector
+from experiments.config import load
+from experiments.environments import Pool
+from experiments.training import build, over_seeds
+from sndjax.rollout import stacker
+
+
+def test_a_rollout_holds_what_the_environments_returned_and_the_policy_said():
+    config = load(
+        ["env=Venture", "algo=rnd", "num_seeds=2", "env.options.max_episode_steps=6",
+         "num_envs=4", "rollout_length=16", "ppo.minibatch_size=64", "algo.minibatch_size=64"]
+    )  # fmt: skip
+    pool, plain = (Pool(config.env, [0, 1], 4) for _ in range(2))
+    size = sndjax.ATARI._replace(channels=(4, 4, 4), last=4, rnd_channels=(4, 4, 4), features=8)
+    agent = build(config, pool)._replace(network=sndjax.ActorCritic(size, 18))
+    example = jnp.zeros((4, 96, 96, 1), jnp.uint8)
+    keys = jnp.stack([jax.random.key(0), jax.random.key(1)])
+    state = over_seeds(lambda key: sndjax.init(agent, key, example), 2)(keys)
+    actor = sndjax.Actor(state.policy, state.observations, state.key)
+    act = jax.jit(over_seeds(functools.partial(sndjax.act, agent), 2, shared=1))
+    collector = Collector(pool, act, 4, 16, 2)
+    frame = plain.reset()
+    first = np.ones((2, 4), bool)
+    for _ in range(2):  # the second rollout begins where the first ended
+        batch, track = jax.tree.map(np.array, collector.collect(actor))
+        rollout = batch.rollout
+        for t in range(16):
+            np.testing.assert_array_equal(rollout.frames[:, t], frame)
+            np.testing.assert_array_equal(rollout.first[:, t], first)
+            step = plain.step(rollout.action[:, t])
+            for name, got in (
+                ("reward", batch.reward),
+                ("truncated", batch.truncated),
+                ("done", rollout.done),
+                ("valid", rollout.valid),
+                ("score", track.score),
+            ):
+                np.testing.assert_array_equal(got[:, t], getattr(step, name), err_msg=name)
+            frame, first = step.frame, ~step.valid
+        np.testing.assert_array_equal(rollout.frames[:, 16], frame)
+        assert (~rollout.valid).sum() >= 8
+        for seed in range(2):
+            own = jax.tree.map(lambda x: jnp.asarray(x[seed]), batch)  # noqa: B023
+            stacks = stacker(own, agent.stack)(jnp.arange(64))
+            policy = jax.tree.map(lambda x: x[seed], state.policy)  # noqa: B023
+            logits, value = agent.network.apply(policy, stacks)
+            log_p = jax.nn.log_softmax(logits)[jnp.arange(64), own.rollout.action.reshape(-1)]
+            valid = np.asarray(own.rollout.valid).reshape(-1)
+            np.testing.assert_allclose(
+                np.asarray(log_p)[valid], own.log_prob.reshape(-1)[valid], rtol=1e-4
+            )
+            np.testing.assert_allclose(
+                np.asarray(value)[valid], own.value[:-1].reshape(64, 2)[valid], atol=1e-5
+            )

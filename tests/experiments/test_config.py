@@ -1,0 +1,181 @@
+import dataclasses
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments import config
+from experiments.options import Config, ConfigError, PPOConfig
+from sndjax import Hyperparameters
+from sndjax.algorithms import NAMED
+
+VENTURE = ["env=Venture", "algo=snd_std"]
+
+# The table of intrinsic scales, as published per environment; 0.5 where it is empty.
+ETA = {
+    "MontezumaRevenge": {"rnd": 1, "snd_std": 1, "snd_vic": 0.25},
+    "Gravitar": {"rnd": 1, "snd_std": 1, "snd_vic": 0.25},
+    "Venture": {"rnd": 1, "snd_std": 0.25, "snd_vic": 0.25},
+    "PrivateEye": {"rnd": 1, "snd_std": 0.5, "snd_vic": 0.25},
+    "Pitfall": {"rnd": 1, "snd_std": 1, "snd_vic": 0.25},
+    "Solaris": {"rnd": 1, "snd_std": 0.5, "snd_vic": 0.25},
+    "Climber": {"rnd": 1, "snd_std": 1, "snd_vic": 0.5},
+    "Caveflyer": {"rnd": 1, "snd_std": 0.5, "snd_vic": 0.5},
+    "Coinrun": {"rnd": 1, "snd_std": 0.25, "snd_vic": 0.5},
+    "Jumper": {"rnd": 1, "snd_std": 1, "snd_vic": 0.5},
+}
+
+
+@pytest.mark.parametrize("env", ETA)
+def test_every_environment_carries_its_published_settings(env):
+    atari = env in list(ETA)[:6]
+    for algo, eta in ETA[env].items():
+        made = config.load([f"env={env}", f"algo={algo}"])
+        assert made.algo.eta == eta
+        assert made.total_steps == (128_000_000 if atari else 64_000_000)
+        assert made.env.id == (f"{env}-v5" if atari else f"{env}Exploration-v0")
+        assert (made.env.stack, made.env.reward) == ((4, "sign") if atari else (2, "raw"))
+        assert made.env.random_action == (0 if atari else 0.01)
+        assert (made.ppo.gamma_ext, made.ppo.ext_weight) == (0.998, 2)
+        assert made.algo.preprocess == ("mean" if algo == "rnd" else "none")
+    baseline = config.load([f"env={env}", "algo=ppo"])
+    assert baseline.ppo.gamma_ext == (0.998 if env == "Gravitar" else 0.99)
+    assert baseline.ppo.ext_weight == 1
+
+
+def test_the_thesis_configuration_is_the_default():
+    made = config.load(VENTURE)
+    assert (made.num_envs, made.rollout_length) == (128, 128)
+    options = made.env.options
+    assert options["repeat_action_probability"] == 0.25
+    assert options["full_action_space"] is True
+    assert options["max_episode_steps"] == 4500
+    assert made.algo.learning_rate == made.ppo.learning_rate == 1e-4
+    assert made.iterations == 7813  # 128M steps rounded up to whole iterations
+
+
+def test_the_laboratory_and_the_library_have_the_same_hyperparameters():
+    ours = {f.name: f.default for f in dataclasses.fields(PPOConfig)}
+    assert ours == Hyperparameters()._asdict()
+    assert set(NAMED) == set(config.choices("algo"))
+
+
+def test_everything_can_be_overridden():
+    made = config.load(
+        [*VENTURE, "ppo.clip=0.2", "algo.eta=2", "seed=7", "env.options.frame_skip=2",
+         "env.options.difficulty=1", "total_steps=1_000", "env.id=Pong-v5"]
+    )  # fmt: skip
+    assert (made.ppo.clip, made.algo.eta, made.seed, made.total_steps) == (0.2, 2.0, 7, 1000)
+    assert made.env.options["frame_skip"] == 2
+    assert made.env.options["difficulty"] == 1
+    assert made.env.id == "Pong-v5"
+
+
+def test_any_envpool_task_gets_the_settings_of_its_family():
+    pong = config.load(["env=envpool", "env.id=Pong-v5", "algo=rnd"])
+    assert (pong.env.name, pong.env.stack, pong.env.reward) == ("Pong-v5", 4, "sign")
+    maze = config.load(["env=envpool", "env.id=MazeExploration-v0", "algo=rnd"])
+    assert (maze.env.stack, maze.env.random_action) == (2, 0.01)
+    pole = config.load(["env=envpool", "env.id=CartPole-v1", "algo=rnd"])
+    assert (pole.env.stack, pole.env.reward, pole.env.options) == (1, "raw", {})
+
+
+REFUSED = [
+    ([], "say env=NAME, one of: Caveflyer"),
+    (["env=Venture"], "say algo=NAME, one of: ppo, rnd"),
+    (["env=Ventur", "algo=rnd"], "did you mean Venture"),
+    (["env=Venture", "algo=snd_vik"], "did you mean snd_vic"),
+    (["env=envpool", "algo=rnd"], "needs a task"),
+    (["env=envpool", "algo=rnd", "env.id=Pnog-v5"], "did you mean Pong-v5"),
+    (["env=envpool", "algo=rnd", "env.id=Pendulum-v1"], "Pendulum-v1 has Box actions"),
+    ([*VENTURE, "nun_envs=3"], "did you mean num_envs"),
+    ([*VENTURE, "learning_rate=1e-3"], "ppo.learning_rate or algo.learning_rate"),
+    ([*VENTURE, "num_envs=0"], "num_envs=0: must be at least 1"),
+    ([*VENTURE, "algo.eta=-0.5"], "algo.eta=-0.5: must be at least 0"),
+    ([*VENTURE, "algo.eta=nan"], "must be finite"),
+    ([*VENTURE, "ppo.clip=0"], "ppo.clip=0.0: must be more than 0"),
+    ([*VENTURE, "ppo.epochs=2.5"], "ppo.epochs"),
+    ([*VENTURE, "ppo.epochs=many"], "ppo.epochs"),
+    ([*VENTURE, "seed=null"], "seed"),
+    ([*VENTURE, "seed=0,1"], "names several values"),
+    ([*VENTURE, "seed=1", "seed=2"], "given twice"),
+    ([*VENTURE, "seed"], "write key=value"),
+    ([*VENTURE, "--config"], "write key=value"),
+    ([*VENTURE, "~seed"], "write key=value"),
+    ([*VENTURE, "env.name=../x"], "env.name"),
+    ([*VENTURE, "algo.reward_scale=std"], "did you mean running_std"),
+    ([*VENTURE, "ppo.minibatch_size=500"], "ppo.minibatch_size=500 does not divide the rollout"),
+    ([*VENTURE, "algo.minibatch_size=500"], "algo.minibatch_size=500 does not divide"),
+    ([*VENTURE, "resume=/nonexistent"], "there is no run"),
+    (["env=Venture", "algo=ppo", "ppo.ext_weight=0"], "nothing to learn from"),
+    (["env=Venture", "algo=ppo", "algo.eta=1"], "no intrinsic reward"),
+    ([*VENTURE, "ppo.ext_weight=0", "ppo.int_weight=0"], "nothing to learn from"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=lambda x: str(x)[-40:])
+def test_bad_input_is_refused_in_one_line_that_helps(arguments, words):
+    with pytest.raises(ConfigError) as refusal:
+        config.load(arguments)
+    message = str(refusal.value)
+    assert words in message
+    assert "\n" not in message
+
+
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+KEYS = st.one_of(st.sampled_from([name for name, _ in config.options()]), TEXT)
+VALUES = st.one_of(
+    TEXT, st.integers().map(str), st.floats().map(str), st.sampled_from(["null", "[]", "{}", "${x}", "true"])
+)
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.lists(st.tuples(KEYS, VALUES), max_size=3))
+def test_no_input_makes_a_traceback(pairs):
+    pairs = [(k, v) for k, v in pairs if k != "env.id"]
+    try:
+        made = config.load([*VENTURE, *(f"{k}={v}" for k, v in pairs)])
+    except ConfigError:
+        return
+    assert isinstance(made, Config)
+
+
+def test_a_stored_configuration_reads_back_as_it_was(tmp_path):
+    made = config.load([*VENTURE, "seed=3", "algo.shuffle=true", "env.options.mode=1"])
+    (tmp_path / "config.yaml").write_text(config.to_yaml(made))
+    again = config.load([f"resume={tmp_path}"])
+    directory = {"run_dir": str(tmp_path), "resume": str(tmp_path)}
+    assert dataclasses.replace(made, **directory) == again
+    assert config.load([f"resume={tmp_path}", "env=Venture", "seed=3", "algo.eta=0.25"]) == again
+    for other, words in (("seed=4", "seed=3, not 4"), ("env=Pitfall", "env=Venture, not Pitfall")):
+        with pytest.raises(ConfigError, match=words):
+            config.load([f"resume={tmp_path}", other])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[1, 2]", "env: 3", "seed: many", "a: !!python/object/apply:os.system [ls]", "{", "x: 1"]
+)
+def test_a_stored_configuration_that_is_none_is_refused(tmp_path, text):
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(ConfigError):
+        config.load([f"resume={tmp_path}"])
+
+
+def test_help_names_every_environment_algorithm_and_option():
+    text = config.help_text()
+    names = [*config.choices("env"), *config.choices("algo")]
+    names += [name for name, _ in config.options()]
+    for name in names:
+        assert f"  {name}" in text
+
+
+def test_jax_is_not_imported_to_refuse_an_input():
+    code = """
+import sys
+from experiments.run import main
+assert main(['env=Venture', 'algo=rnd', 'num_envs=0']) == 2
+assert not {'jax', 'envpool', 'flax'} & set(sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,163 @@
+"""Against envpool itself, on real Atari, Procgen and classic control."""
+
+import numpy as np
+import pytest
+
+from experiments.catalogue import envpool, family_of
+from experiments.config import load
+from experiments.environments import Pool, Vectors, gym, seeds_of
+from experiments.options import ConfigError, EnvConfig
+from sndjax.rollout import push
+
+
+def config(name, *more):
+    return load([f"env={name}", "algo=rnd", *more]).env
+
+
+def test_stacks_built_from_single_frames_are_envpools_own_across_resets():
+    env = config("Venture", "env.options.max_episode_steps=13")
+    pool = Pool(env, [3], 4)
+    theirs = envpool.make(
+        env.id,
+        env_type="gymnasium",
+        num_envs=4,
+        seed=seeds_of(3, 4, 0),
+        **(env.options | {"stack_num": 4}),
+    )
+    rng = np.random.default_rng(0)
+    frame, (stack, _) = pool.reset()[0], theirs.reset()
+    window = np.zeros((4, *frame.shape), np.uint8)
+    first, resets = np.ones(4, bool), 0
+    for _ in range(60):
+        window = np.asarray(push(window, frame, first, repeat=True))
+        np.testing.assert_array_equal(window[..., 0].swapaxes(0, 1), stack)
+        action = rng.integers(0, 18, 4)
+        step = pool.step(action[None])
+        stack, *_ = theirs.step(action.astype(np.int32))
+        frame, first = step.frame[0], ~step.valid[0]
+        resets += int(first.sum())
+    assert resets >= 12
+
+
+def test_procgen_stacks_begin_with_zeros():
+    env = config("Climber")
+    assert (env.stack, env.repeat_first) == (2, False)
+    pool = Pool(env, [0], 2)
+    frame = pool.reset()[0]
+    assert frame.shape == (2, 64, 64, 3)
+    window = np.asarray(push(np.full((2, *frame.shape), 9, np.uint8), frame, np.ones(2, bool), False))
+    assert not window[0].any()
+    np.testing.assert_array_equal(window[1], frame)
+
+
+def test_reset_rows_follow_done_rows_and_carry_no_reward():
+    pool = Pool(config("MountainCar"), [0, 1], 5)
+    pool.reset()
+    rng, was_done, ends = np.random.default_rng(0), np.zeros((2, 5), bool), 0
+    for _ in range(450):
+        step = pool.step(rng.integers(0, 3, (2, 5)))
+        np.testing.assert_array_equal(step.valid, ~was_done)
+        assert not step.reward[~step.valid].any()
+        assert not step.done[~step.valid].any()
+        was_done = step.done
+        ends += int(step.done.sum())
+        assert step.frame.shape == (2, 5, 2)
+        assert np.abs(step.frame).max() <= 1
+    assert ends == 20  # two limits of 200 steps, each followed by a reset row
+
+
+def test_mountain_car_pays_at_the_goal_alone():
+    pool = Pool(config("MountainCar"), [0], 1)
+    frame = pool.reset()
+    goals = 0
+    for _ in range(1000):  # swing with the velocity: the known way up
+        step = pool.step(np.where(frame[..., 1] >= 0, 2, 0))
+        frame = step.frame
+        if step.reward[0, 0]:
+            goals += 1
+            assert step.done[0, 0]
+            assert not step.truncated[0, 0]
+            assert frame[0, 0, 0] > 0.8  # position 0.5 of [-1.2, 0.6], scaled
+        assert step.score[0, 0] == (-1 if step.valid[0, 0] else 0)
+    assert goals >= 4
+
+
+def test_atari_reward_is_the_sign_of_the_score_and_rooms_come_from_ram():
+    pool = Pool(config("MontezumaRevenge"), [0], 2)
+    assert pool.num_actions == 18
+    pool.reset()
+    step = pool.step(np.zeros((1, 2)))
+    assert step.room.tolist() == [[1, 1]]  # the first room is number 1
+    pong = Pool(config("envpool", "env.id=Pong-v5"), [0], 8)
+    pong.reset()
+    rewards, scores = [], []
+    for _ in range(120):
+        step = pong.step(np.zeros((1, 8)))
+        rewards.append(step.reward)
+        scores.append(step.score)
+    assert np.min(scores) == -1  # standing still loses points
+    np.testing.assert_array_equal(np.maximum(0, np.sign(scores)), rewards)
+
+
+def test_seeds_share_no_stream_and_a_resumed_run_begins_new_ones():
+    streams = [seeds_of(seed, 8, start) for seed in (0, 1) for start in (0, 50)]
+    assert len({s for stream in streams for s in stream}) == 32
+    assert seeds_of(0, 8, 0) == seeds_of(0, 16, 0)[:8]
+    frames = [Pool(config("MountainCar"), [seed], 3).reset()[0] for seed in (0, 0, 1)]
+    np.testing.assert_array_equal(frames[0], frames[1])
+    assert np.all(frames[0][:, 0] != frames[2][:, 0])
+
+
+def test_a_seed_has_the_same_environments_alone_and_among_others():
+    alone, together = (Pool(config("Venture"), seeds, 2) for seeds in ([7], [6, 7]))
+    frames = [alone.reset()[0], together.reset()[1]]
+    for _ in range(30):
+        np.testing.assert_array_equal(*frames)
+        frames = [alone.step(np.full((1, 2), 2)).frame[0], together.step(np.full((2, 2), 2)).frame[1]]
+
+
+@pytest.mark.parametrize(
+    ("task", "size", "unbounded"),
+    [("CartPole-v1", 4, (1, 3)), ("FrozenLake-v1", 16, ()), ("Catch-v0", 50, ()), ("LunarLander-v2", 8, ())],
+)
+def test_other_tasks_are_read_as_vectors(task, size, unbounded):
+    pool = Pool(config("envpool", f"env.id={task}"), [0], 3)
+    assert pool.shape == (size,)
+    assert tuple(np.nonzero(pool.unbounded)[0]) == unbounded
+    frame = pool.reset()
+    assert frame.dtype == np.float32
+    assert frame.shape == (1, 3, size)
+    assert np.all(np.isfinite(pool.step(np.zeros((1, 3))).frame))
+
+
+def test_dict_observations_are_laid_end_to_end():
+    space = gym.spaces.Dict(
+        {
+            "b": gym.spaces.Box(0, 10, (2,), np.float32),
+            "a": gym.spaces.Dict({"n": gym.spaces.Discrete(3), "m": gym.spaces.MultiBinary(2)}),
+            "c": gym.spaces.Box(-np.inf, np.inf, (1,), np.float32),
+        }
+    )
+    reader = Vectors(space)
+    got = reader.read(
+        {
+            "a": {"n": np.array([2, 0]), "m": np.array([[0, 1], [1, 1]])},
+            "b": np.array([[0, 10], [5, 2.5]]),
+            "c": np.array([[7.0], [8.0]]),
+        }
+    )
+    wanted = [[-1, 1, -1, -1, 1, -1, 1, 7], [1, 1, 1, -1, -1, 0, -0.5, 8]]
+    np.testing.assert_allclose(got, wanted)
+    assert reader.unbounded == (False,) * 7 + (True,)
+
+
+def test_tasks_are_refused_by_name():
+    assert family_of("Pong-v5") == "atari"
+    assert family_of("JumperExploration-v0") == "procgen"
+    assert family_of("CartPole-v1") == "plain"
+    with pytest.raises(ConfigError, match="did you mean Pong-v5"):
+        family_of("Pong-v4")
+    with pytest.raises(ConfigError, match=r"Pendulum-v1 has Box actions of shape \(1,\)"):
+        family_of("Pendulum-v1")
+    with pytest.raises(ConfigError, match="cannot make Pong-v5"):
+        Pool(EnvConfig(name="x", id="Pong-v5", options={"no_such_option": 1}), [0], 1)

@@ -1,0 +1,227 @@
+"""The command line as a user meets it: through a process of its own, on real environments."""
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SMALL = ["num_envs=8", "rollout_length=16", "ppo.minibatch_size=64", "ppo.epochs=1"]
+CAR = ["env=MountainCar", "num_envs=4", "rollout_length=32", "ppo.minibatch_size=64"]
+ACTIONS = {"Venture": 18, "Coinrun": 15, "MountainCar": 3}
+
+
+def start(arguments, cwd, **options):
+    command = [sys.executable, "-m", "experiments.run", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        command, cwd=cwd, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options,
+    )  # fmt: skip
+
+
+def run(arguments, cwd):
+    with start(arguments, cwd) as process:
+        out, err = process.communicate(timeout=300)
+    return process.returncode, out, err
+
+
+def train(path, *arguments):
+    status, out, err = run([*arguments, f"run_dir={path}"], path.parent)
+    assert status == 0, err
+    assert "Traceback" not in err
+    return out
+
+
+def lines(path):
+    return [json.loads(line) for line in (path / "metrics.jsonl").read_text().splitlines()]
+
+
+def without_clock(entries):
+    return [
+        {k: v for k, v in entry.items() if "second" not in k and "rss" not in k}
+        for entry in entries
+    ]
+
+
+@pytest.mark.parametrize("algo", ["ppo", "rnd", "snd_std", "snd_vic"])
+@pytest.mark.parametrize("env", ACTIONS)
+def test_two_iterations_of_every_algorithm_on_every_kind_of_environment(env, algo, tmp_path):
+    path = tmp_path / "run"
+    more = [] if algo == "ppo" else ["algo.minibatch_size=64"]
+    out = train(path, f"env={env}", f"algo={algo}", *SMALL, "total_steps=256", *more)
+    entries = lines(path)
+    assert [entry["step"] for entry in entries] == [128, 256]
+    skip = 4 if env == "Venture" else 1
+    for entry in entries:
+        assert entry["frames"] == entry["step"] * skip
+        assert 0 < entry["entropy"] <= math.log(ACTIONS[env]) + 1e-5
+        for key, value in entry.items():
+            assert value is None or math.isfinite(value), key
+        if algo != "ppo":
+            assert entry["int_reward_mean"] > 0
+            assert entry["distillation_loss"] > 0
+            assert 0 <= entry["int_reward_clipped"] <= 1
+    assert "step 256 of 256" in out
+    assert "clipped" in out
+    left = {p.name for p in path.iterdir()}
+    assert left == {
+        "config.yaml", "metrics.jsonl", "episodes.csv", "summary.json",
+        "tensorboard", "checkpoints", ".lock",
+    }  # fmt: skip
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]  # no outputs/ folder
+
+
+def test_the_same_command_twice_gives_the_same_lines_but_for_times(tmp_path):
+    for name in ("a", "b"):
+        train(tmp_path / name, *CAR, "algo=snd_vic", "total_steps=4096", "num_seeds=2")
+    a, b = (without_clock(lines(tmp_path / name)) for name in ("a", "b"))
+    assert a == b
+    assert len(a) == 64
+    assert (tmp_path / "a" / "episodes.csv").read_bytes() == (tmp_path / "b" / "episodes.csv").read_bytes()
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    assert [seed["seed"] for seed in summary["seeds"]] == [0, 1]
+    assert summary["seeds"][0]["episodes"] > 0
+
+
+@pytest.mark.parametrize("env", [["env=MountainCar"], ["env=Venture"]])
+def test_a_seed_is_logged_apart_and_begins_as_it_would_alone(env, tmp_path):
+    common = [*env, "algo=snd_vic", *SMALL, "algo.minibatch_size=64", "total_steps=256"]
+    train(tmp_path / "many", *common, "num_seeds=3", "seed=4")
+    train(tmp_path / "alone", *common, "seed=5")
+    many = [entry for entry in lines(tmp_path / "many") if entry["seed"] == 5]
+    assert len(many) == 2
+    assert {entry["seed"] for entry in lines(tmp_path / "many")} == {4, 5, 6}
+    for one, other in zip(without_clock(many), without_clock(lines(tmp_path / "alone")), strict=True):
+        for key, value in one.items():
+            if isinstance(value, float):
+                assert other[key] == pytest.approx(value, rel=0.02, abs=1e-4), key
+            else:
+                assert other[key] == value, key
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_a_run_killed_half_way_goes_on_from_its_checkpoint(seeds, tmp_path):
+    path = tmp_path / "run"
+    arguments = [*CAR, "algo=rnd", "total_steps=12800", "checkpoint_every=5", f"num_seeds={seeds}"]
+    with start([*arguments, f"run_dir={path}"], tmp_path) as process:
+        deadline = time.monotonic() + 120
+        while not (path / "checkpoints" / "10").is_dir():
+            assert time.monotonic() < deadline
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+    before = without_clock(lines(path)) if not half_written(path) else None
+    status, out, err = run([f"resume={path}"], tmp_path)
+    assert status == 0, err
+    begun = int(re.search(r"going on from iteration (\d+)", out)[1])
+    assert begun >= 10
+    assert begun % 5 == 0
+    entries = without_clock(lines(path))
+    assert [(e["iteration"], e["seed"]) for e in entries] == [
+        (i, s) for i in range(1, 101) for s in range(seeds)
+    ]
+    kept = begun * seeds
+    if before is not None:
+        assert entries[:kept] == before[:kept]
+    transitions = [e["transitions"] for e in entries if e["seed"] == 0]
+    assert transitions == sorted(transitions)
+    rows = (path / "episodes.csv").read_text().splitlines()[1:]
+    steps = [int(row.split(",")[1]) for row in rows if row.startswith("0,")]
+    assert steps == sorted(steps)
+    summary = json.loads((path / "summary.json").read_text())["seeds"]
+    assert summary[0]["episodes"] == len(steps)
+    assert summary[0]["steps"] == 12800
+    # Finished: resuming again does nothing, quietly.
+    status, out, err = run([f"resume={path}"], tmp_path)
+    assert status == 0, err
+    assert without_clock(lines(path)) == entries
+
+
+def half_written(path):
+    return not (path / "metrics.jsonl").read_text().endswith("\n")
+
+
+REFUSED = [
+    (["env=Ventur", "algo=rnd"], "did you mean Venture"),
+    (["env=Venture", "algo=rnd", "ppo.minibatch_size=500"], "does not divide the rollout"),
+    (["env=Venture", "algo=rnd", "num_envs=0"], "at least 1"),
+    (["env=Venture", "algo=rnd", "algo.eta=-1"], "at least 0"),
+    (["env=Venture", "algo=rnd", "run_dir=/proc/x"], "cannot write to /proc/x"),
+    (["env=Venture", "algo=rnd", "run_dir={full}"], "not empty"),
+    (["env=envpool", "env.id=Pendulum-v1", "algo=rnd"], "only tasks with discrete actions"),
+    (["resume={full}"], "there is no run"),
+    ([], "say env=NAME"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=lambda x: str(x)[-30:])
+def test_bad_input_is_one_line_and_status_two_within_five_seconds(arguments, words, tmp_path):
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine").write_text("")
+    begun = time.monotonic()
+    status, out, err = run([a.format(full=full) for a in arguments], tmp_path)
+    assert time.monotonic() - begun < 5
+    assert status == 2
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert words in err
+    assert [p.name for p in tmp_path.iterdir()] == ["full"]
+    assert [p.name for p in full.iterdir()] == ["mine"]
+
+
+def test_an_option_that_envpool_refuses_leaves_nothing_behind(tmp_path):
+    arguments = ["env=Venture", "algo=rnd", "env.options.no_such=1", f"run_dir={tmp_path / 'run'}"]
+    status, _, err = run(arguments, tmp_path)
+    assert status == 2
+    assert len(err.splitlines()) == 1
+    assert "envpool cannot make Venture-v5" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_resume_from_another_configuration_is_refused_by_name(tmp_path):
+    train(tmp_path / "run", *CAR, "algo=ppo", "total_steps=256")
+    before = (tmp_path / "run" / "metrics.jsonl").read_bytes()
+    for change, words in (("algo=rnd", "algo=ppo, not rnd"), ("ppo.clip=0.3", "ppo.clip=0.1, not 0.3")):
+        status, _, err = run([f"resume={tmp_path / 'run'}", change], tmp_path)
+        assert status == 2
+        assert words in err
+    assert (tmp_path / "run" / "metrics.jsonl").read_bytes() == before
+
+
+def test_help_explains_every_option(tmp_path):
+    status, out, _ = run(["--help"], tmp_path)
+    assert status == 0
+    for word in ("MontezumaRevenge", "snd_std", "ppo.learning_rate=0.0001", "num_seeds="):
+        assert word in out
+
+
+def test_an_interrupted_run_says_how_to_go_on(tmp_path):
+    path = tmp_path / "run"
+    with start([*CAR, "algo=ppo", "total_steps=100_000_000", f"run_dir={path}"], tmp_path) as process:
+        while not (path / "metrics.jsonl").exists() or not (path / "metrics.jsonl").stat().st_size:
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert f"resume={path}" in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.slow
+def test_novelty_alone_is_a_run_and_pixels_of_other_games_too(tmp_path):
+    train(tmp_path / "car", *CAR, "algo=snd_vic", "ppo.ext_weight=0", "total_steps=256")
+    train(
+        tmp_path / "pong", "env=envpool", "env.id=Pong-v5", "algo=rnd", *SMALL,
+        "algo.minibatch_size=64", "total_steps=128", "num_seeds=2",
+    )  # fmt: skip
+    assert len(lines(tmp_path / "pong")) == 2

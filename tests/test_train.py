@@ -1,0 +1,265 @@
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from builders import KINDS, experience
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sndjax
+from experiments.training import over_seeds
+from sndjax import ppo
+from sndjax.algorithms import NAMED
+from sndjax.train import train_module
+
+STACKS = {"atari": sndjax.Stack(4, True), "procgen": sndjax.Stack(2, False), "vector": sndjax.Stack()}
+STEPS, ENVS = 8, 4
+
+
+@functools.cache
+def made(name, kind, **changes):
+    """An agent at toy size, its first state and its jitted train step."""
+    make = NAMED[name]
+    motivation = None
+    if make is not None:
+        module = make(kind.actions, kind.size)
+        motivation = sndjax.Motivation(module, eta=1.0, learning_rate=1e-3, minibatch_size=16)
+    hyper = ppo.Hyperparameters(minibatch_size=8, epochs=2, learning_rate=1e-3, **changes)
+    network = sndjax.ActorCritic(kind.size, kind.actions, 2 if motivation else 1)
+    agent = sndjax.Agent(network, hyper, motivation, STACKS[kind.name])
+    state = jax.jit(functools.partial(sndjax.init, agent))(jax.random.key(0), example(kind))
+    return agent, state, jax.jit(sndjax.make_train_step(agent))
+
+
+def example(kind):
+    dtype = jnp.uint8 if len(kind.shape) == 3 else jnp.float32
+    return jnp.zeros((ENVS, *kind.shape), dtype)
+
+
+def batch_for(kind, seed=0, heads=2):
+    rng = np.random.default_rng(seed)
+    return experience(kind, rng, STEPS, ENVS, STACKS[kind.name].size, heads)
+
+
+def heads(name):
+    return 1 if NAMED[name] is None else 2
+
+
+def equal(one, other, **tolerance):
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_allclose(a, b, **tolerance)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("name", NAMED)
+def test_one_step_is_finite_and_moves_what_it_should(name, kind):
+    agent, state, step = made(name, kind)
+    after, metrics, int_reward = step(state, batch_for(kind, heads=heads(name)))
+    for key, value in metrics.items():
+        assert value.shape == (), key
+        assert np.isfinite(value), key
+    assert 0 < metrics["entropy"] <= np.log(kind.actions) + 1e-5
+    assert int_reward.shape == (STEPS, ENVS)
+    assert after.iteration == 1
+    changed = jax.tree.map(lambda a, b: bool(jnp.any(a != b)), state.policy, after.policy)
+    assert all(jax.tree.leaves(changed))
+    changed = jax.tree.map(lambda a, b: bool(jnp.any(a != b)), state.intrinsic, after.intrinsic)
+    assert all(jax.tree.leaves(changed))
+    if name == "rnd":
+        equal(state.intrinsic_state["target"], after.intrinsic_state["target"])
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("name", ["ppo", "rnd", "snd_std"])
+def test_reset_rows_full_of_garbage_change_no_gradient_and_no_metric(name, kind):
+    """Everything a reset row holds, except the frames it shares with its neighbours."""
+    agent, state, step = made(name, kind)
+
+    @settings(deadline=None, max_examples=5, database=None)
+    @given(st.integers(0, 2**32 - 1))
+    def check(seed):
+        rng = np.random.default_rng(seed)
+        batch = batch_for(kind, seed, heads(name))
+        invalid = ~np.asarray(batch.rollout.valid)
+        if not invalid.any():
+            return
+        fill = lambda x, value: jnp.where(jnp.asarray(invalid), jnp.asarray(value, x.dtype), x)
+        noise = rng.choice([np.nan, np.inf, -1e30, 1e30], (STEPS, ENVS))
+        rollout = batch.rollout._replace(
+            action=fill(batch.rollout.action, rng.integers(-9, 99, (STEPS, ENVS))),
+            done=batch.rollout.done | invalid,
+            first=batch.rollout.first | invalid,
+        )
+        dirty = batch._replace(
+            rollout=rollout,
+            reward=fill(batch.reward, noise),
+            log_prob=fill(batch.log_prob, noise),
+            truncated=batch.truncated | invalid,
+            value=batch.value.at[:-1].set(
+                jnp.where(jnp.asarray(invalid)[..., None], jnp.asarray(noise)[..., None], batch.value[:-1])
+            ),
+        )
+        equal(step(state, batch), step(state, dirty))
+
+    check()
+
+
+def test_lone_frames_of_reset_rows_are_never_seen():
+    """Two resets in a row share no frame with a transition: what is between does not matter."""
+    kind = KINDS[2]
+    for name in ("rnd", "snd_vic"):
+        _, state, step = made(name, kind)
+        batch = batch_for(kind, 1)
+        valid = np.ones((STEPS, ENVS), bool)
+        valid[3:5, 1] = False  # frames[4, 1] belongs to no valid row
+        first = np.zeros((STEPS, ENVS), bool)
+        first[5, 1] = True
+        done = np.zeros((STEPS, ENVS), bool)
+        done[2, 1] = True
+        rollout = batch.rollout._replace(
+            valid=jnp.asarray(valid), first=jnp.asarray(first), done=jnp.asarray(done)
+        )
+        clean = batch._replace(rollout=rollout)
+        frames = rollout.frames.at[4, 1].set(jnp.nan)
+        dirty = batch._replace(rollout=rollout._replace(frames=frames))
+        equal(step(state, clean), step(state, dirty))
+
+
+@pytest.mark.parametrize("kind", [KINDS[0], KINDS[2]], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("name", ["ppo", "snd_std"])
+def test_a_seed_among_others_learns_what_it_learns_alone(name, kind):
+    agent, _, step = made(name, kind)
+    keys = jnp.stack([jax.random.key(seed) for seed in (5, 6, 7)])
+    init = lambda key: sndjax.init(agent, key, example(kind))
+    states = jax.jit(over_seeds(init, 3))(keys)
+    batches = [batch_for(kind, seed, heads(name)) for seed in range(3)]
+    together = jax.jit(over_seeds(sndjax.make_train_step(agent), 3))(
+        states, jax.tree.map(lambda *x: jnp.stack(x), *batches)
+    )
+    alone = over_seeds(sndjax.make_train_step(agent), 1)
+    for i, batch in enumerate(batches):
+        state = jax.jit(init)(keys[i])
+        equal(state.policy, jax.tree.map(lambda x: x[i], states.policy), rtol=1e-5, atol=1e-6)  # noqa: B023
+        one = jax.tree.map(lambda x: x[None], (state, batch))
+        got = jax.jit(alone)(*one)
+        of_many = jax.tree.map(lambda x: x[i : i + 1], together)  # noqa: B023
+        equal(got[1], of_many[1], rtol=2e-3, atol=1e-4)
+        equal(got[0].policy, of_many[0].policy, rtol=1e-2, atol=3e-4)
+
+
+def test_it_is_traced_once_however_often_it_runs():
+    kind, traces = KINDS[2], []
+    agent, state, _ = made("snd_vic", kind)
+    train_step = sndjax.make_train_step(agent)
+
+    @jax.jit
+    def counted(state, batch):
+        traces.append(1)
+        return train_step(state, batch)
+
+    for seed in range(4):
+        state, _, _ = counted(state, batch_for(kind, seed))
+    assert len(traces) == 1
+
+
+def test_the_iteration_leaves_no_trace_of_its_rollout_in_the_state():
+    """State in, state out: shapes and dtypes stay, so that buffers can be donated."""
+    for name in NAMED:
+        _, state, step = made(name, KINDS[0])
+        after = jax.eval_shape(step, state, batch_for(KINDS[0], heads=heads(name)))[0]
+        same = jax.tree.map(lambda a, b: a.shape == b.shape and a.dtype == b.dtype, state, after)
+        assert all(jax.tree.leaves(same))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("name", [n for n in NAMED if NAMED[n]])
+def test_on_a_fixed_rollout_the_distillation_loss_falls_over_ten_updates(name, kind):
+    """The module's own training on one rollout, its target held to what it has become.
+
+    An SND target moves while it is copied, so the loss is read against the target after
+    ten updates: the learned network must be nearer to it than before the last of them.
+    """
+    agent, state, _ = made(name, kind)
+    batch = batch_for(kind)
+    step = jax.jit(lambda state, key: train_module(agent, state, batch, key))
+    losses = []
+    for key in jax.random.split(jax.random.key(0), 10):
+        state, metrics = step(state, key)
+        losses.append(float(metrics["distillation_loss"]))
+    frozen = state.intrinsic
+    optimizer = optax.adam(1e-3)
+    rows = sndjax.transitions(batch.rollout, jnp.arange(STEPS * ENVS))
+    module = agent.motivation.module
+
+    @jax.jit
+    def copy(learned, optimizer_state):
+        loss = lambda l: module.loss(
+            frozen | {"learned": l}, state.intrinsic_state, rows, batch.rollout, jax.random.key(1)
+        )[1]["distillation_loss"]
+        value, gradient = jax.value_and_grad(loss)(learned)
+        updates, optimizer_state = optimizer.update(gradient, optimizer_state)
+        return optax.apply_updates(learned, updates), optimizer_state, value
+
+    learned, optimizer_state = frozen["learned"], optimizer.init(frozen["learned"])
+    values = []
+    for _ in range(11):
+        learned, optimizer_state, value = copy(learned, optimizer_state)
+        values.append(float(value))
+    assert values[-1] < values[0]
+    if name == "rnd":  # its target stays, so that the run's own losses must fall
+        assert np.mean(losses[-3:]) < np.mean(losses[:3])
+
+
+def test_acting_is_sampled_from_the_policy_and_random_actions_are_rare():
+    kind = KINDS[2]
+    agent, state, _ = made("snd_vic", kind)
+    agent = agent._replace(random_action=0.25)
+    actor = sndjax.Actor(state.policy, state.observations, state.key)
+    act = jax.jit(functools.partial(sndjax.act, agent))
+    frame = jnp.zeros((4000, *kind.shape))
+    window, first = frame[None], jnp.ones(4000, bool)
+    decision, _ = act(actor, window, frame, first, 0)
+    logits, value = agent.network.apply(state.policy, frame)
+    wanted = jax.nn.log_softmax(logits)
+    np.testing.assert_allclose(
+        decision.log_prob, wanted[jnp.arange(4000), decision.action], rtol=1e-4
+    )
+    np.testing.assert_allclose(decision.value, value, rtol=1e-4, atol=1e-6)
+    shares = np.bincount(decision.action, minlength=3) / 4000
+    np.testing.assert_allclose(shares, np.exp(wanted[0]), atol=0.03)
+    # A random action differs from the chosen one two times out of three.
+    assert abs(np.mean(decision.action != decision.executed) - 0.25 * 2 / 3) < 0.03
+    again, _ = act(actor, window, frame, first, 0)
+    np.testing.assert_array_equal(decision.action, again.action)
+    other, _ = act(actor, window, frame, first, 1)
+    assert np.any(decision.action != other.action)
+
+
+def test_unbounded_components_are_divided_by_what_was_seen_before_this_iteration():
+    kind = KINDS[2]
+    agent, _, _ = made("rnd", kind)
+    agent = agent._replace(unbounded=(True, False, True, False, False))
+    state = sndjax.init(agent, jax.random.key(0), example(kind))
+    step = jax.jit(sndjax.make_train_step(agent))
+    batch = batch_for(kind)
+    scaled, _, _ = step(state, batch)
+    seen = np.asarray(batch.rollout.frames[:-1])[np.asarray(batch.rollout.valid)]
+    np.testing.assert_allclose(scaled.observations.mean, seen.mean(0), rtol=1e-4, atol=1e-6)
+    # The first iteration divides by 1; the second by what the first saw.
+    second, metrics, _ = step(scaled, batch)
+    divided = np.where([True, False, True, False, False], seen.std(0), 1).astype(np.float32)
+    by_hand = batch._replace(
+        rollout=batch.rollout._replace(frames=batch.rollout.frames / divided[None, None]),
+        history=batch.history / divided[None, None],
+    )
+    plain = jax.jit(sndjax.make_train_step(agent._replace(unbounded=())))
+    expected, expected_metrics, _ = plain(
+        scaled._replace(observations=state.observations), by_hand
+    )
+    equal(metrics, expected_metrics, rtol=1e-3, atol=1e-5)
