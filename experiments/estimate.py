@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-SHARE_OF_PEAK = 0.6  # of a plain matrix product's rate; about what an update reaches
+SHARE_OF_PEAK = 0.45  # of a plain matrix product's rate; about what an update reaches
 
 
 def operations(jaxpr: Jaxpr) -> float:

@@ -4,13 +4,13 @@ Only the configuration is read before anything heavy is imported, so that bad in
 refused in a moment.
 """
 
-import os
 import sys
 import warnings
 
 from experiments.config import help_text, load
 from experiments.directory import Directory
 from experiments.options import ConfigError
+from experiments.process import before_jax
 
 
 def refuse(error: object) -> int:
@@ -31,11 +31,11 @@ def main(arguments: list[str] | None = None) -> int:
         print(help_text())
         return 0
     warnings.filterwarnings("ignore", message=".*Box (low|high)'s precision.*")
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "1")
     directory = None
     try:
         config = load(arguments)
         directory = Directory(config)
+        before_jax()
         from experiments.training import train
 
         train(config, directory)

@@ -1,0 +1,25 @@
+"""What the process is told before jax starts in it, and after."""
+
+import ctypes
+import os
+from importlib.metadata import version
+
+# Orders an update's operations for memory on a CPU: a third less of it at the same speed
+# (1.84 GB of temporaries become 1.21 GB for snd_std on Atari). XLA aborts on a flag that
+# it does not know, so it is set for the versions alone that it was tried with.
+MEMORY_SCHEDULE = "--xla_cpu_enable_concurrency_optimized_scheduler=false"
+TRIED = ("0.10.",)
+
+
+def before_jax() -> None:
+    """Set XLA's flags; they are read once, when jax first computes."""
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "1")
+    if version("jaxlib").startswith(TRIED):
+        os.environ["XLA_FLAGS"] = f"{MEMORY_SCHEDULE} {os.environ.get('XLA_FLAGS', '')}".strip()
+
+
+def return_freed_memory() -> None:
+    """Give the system back what start-up and compilation have freed (glibc keeps it)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
