@@ -33,7 +33,7 @@ class Checkpoints:
         iteration = self.manager.latest_step()
         if iteration is None:
             return None
-        abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, raw(like))
+        abstract = jax.eval_shape(raw, like)
         try:
             state = self.manager.restore(iteration, args=ocp.args.StandardRestore(abstract))
         except (ValueError, KeyError, TypeError, OSError) as error:

@@ -65,8 +65,9 @@ class Vectors:
         low, high = np.concatenate(low), np.concatenate(high)
         unbounded = (low < -UNBOUNDED) | (high > UNBOUNDED) | (low >= high)
         self.unbounded = tuple(bool(x) for x in unbounded)
-        self.centre = np.where(unbounded, 0, (low + high) / 2).astype(np.float32)
-        self.half = np.where(unbounded, 1, (high - low) / 2).astype(np.float32)
+        low, high = np.where(unbounded, -1, low), np.where(unbounded, 1, high)
+        self.centre = ((low + high) / 2).astype(np.float32)
+        self.half = ((high - low) / 2).astype(np.float32)
         self.shape, self.dtype = self.centre.shape, np.float32
 
     @staticmethod

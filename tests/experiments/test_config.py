@@ -105,7 +105,7 @@ REFUSED = [
     ([*VENTURE, "--config"], "write key=value"),
     ([*VENTURE, "~seed"], "write key=value"),
     ([*VENTURE, "env.name=../x"], "env.name"),
-    ([*VENTURE, "algo.reward_scale=std"], "did you mean running_std"),
+    ([*VENTURE, "algo.reward_scale=running"], "did you mean running_std"),
     ([*VENTURE, "ppo.minibatch_size=500"], "ppo.minibatch_size=500 does not divide the rollout"),
     ([*VENTURE, "algo.minibatch_size=500"], "algo.minibatch_size=500 does not divide"),
     ([*VENTURE, "resume=/nonexistent"], "there is no run"),

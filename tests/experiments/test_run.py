@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from experiments.run import main
+
 ROOT = Path(__file__).parents[2]
 SMALL = ["num_envs=8", "rollout_length=16", "ppo.minibatch_size=64", "ppo.epochs=1"]
 CAR = ["env=MountainCar", "num_envs=4", "rollout_length=32", "ppo.minibatch_size=64"]
@@ -53,10 +55,16 @@ def without_clock(entries):
 
 @pytest.mark.parametrize("algo", ["ppo", "rnd", "snd_std", "snd_vic"])
 @pytest.mark.parametrize("env", ACTIONS)
-def test_two_iterations_of_every_algorithm_on_every_kind_of_environment(env, algo, tmp_path):
+def test_two_iterations_of_every_algorithm_on_every_kind_of_environment(
+    env, algo, tmp_path, capfd, monkeypatch
+):
+    """In this process, through the command's entry function."""
     path = tmp_path / "run"
+    monkeypatch.chdir(tmp_path)
     more = [] if algo == "ppo" else ["algo.minibatch_size=64"]
-    out = train(path, f"env={env}", f"algo={algo}", *SMALL, "total_steps=256", *more)
+    arguments = [f"env={env}", f"algo={algo}", *SMALL, "total_steps=256", f"run_dir={path}", *more]
+    assert main(arguments) == 0
+    out = capfd.readouterr().out
     entries = lines(path)
     assert [entry["step"] for entry in entries] == [128, 256]
     skip = 4 if env == "Venture" else 1
