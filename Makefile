@@ -16,7 +16,7 @@ demo: .venv/.complete
 	@$(RUN) -m experiments.demo
 
 test: .venv/.complete
-	@$(RUN) -m pytest
+	@$(RUN) -m pytest -n 2 --dist worksteal
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

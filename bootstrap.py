@@ -56,7 +56,7 @@ def make_venv():
         subprocess.run([*pip, "--version"], check=True, capture_output=True, text=True)
         return pip
     except subprocess.CalledProcessError:
-        stop("this Python has neither ensurepip nor pip; install python3-venv (apt) or pip (pip.pypa.io)")
+        stop("this Python has neither ensurepip nor pip; install python3-venv with apt, or pip")
 
 
 def install(pip, title, *arguments):
@@ -76,7 +76,13 @@ def install(pip, title, *arguments):
                 print("  %3d  %s" % (count, line.split()[1].split("==")[0]), flush=True)
         if process.wait() == 0:
             return
-    network = ("NewConnectionError", "Temporary failure", "ConnectTimeout", "No address", "timed out")
+    network = (
+        "NewConnectionError",
+        "Temporary failure",
+        "ConnectTimeout",
+        "No address",
+        "timed out",
+    )
     if any(sign in text for sign in network):
         stop("cannot reach the package index; connect to a network and say make .venv again")
     stop("installation failed, see .venv/install.log: %s" % last_line(text))
@@ -86,7 +92,9 @@ def main():
     check_platform()
     print("making .venv with %s" % sys.executable, flush=True)
     pip = make_venv()
-    install(pip, "installing the pinned packages, about 1 GB", "--no-deps", "-r", "requirements.txt")
+    install(
+        pip, "installing the pinned packages, about 1 GB", "--no-deps", "-r", "requirements.txt"
+    )
     install(pip, "installing sndjax itself", "--no-deps", "--no-build-isolation", "-e", ".")
     open(os.path.join(VENV, ".complete"), "w").close()
 

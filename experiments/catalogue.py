@@ -6,7 +6,13 @@ from pathlib import Path
 
 # Procgen's renderer needs Qt's Core and Gui and the ICU libraries below them. envpool
 # leaves them out; PyQt5-Qt5 carries them. Loaded before envpool, in order of dependency.
-QT_LIBRARIES = ("libicudata.so.56", "libicuuc.so.56", "libicui18n.so.56", "libQt5Core.so.5", "libQt5Gui.so.5")
+QT_LIBRARIES = (
+    "libicudata.so.56",
+    "libicuuc.so.56",
+    "libicui18n.so.56",
+    "libQt5Core.so.5",
+    "libQt5Gui.so.5",
+)
 
 
 def load_qt() -> None:
@@ -21,12 +27,12 @@ def load_qt() -> None:
 
 load_qt()
 
-import envpool  # noqa: E402
-import gymnasium as gym  # noqa: E402
-from envpool.registration import registry  # noqa: E402
+import envpool
+import gymnasium as gym
+from envpool.registration import registry
 
-from experiments.config import unknown  # noqa: E402
-from experiments.options import ConfigError  # noqa: E402
+from experiments.config import unknown
+from experiments.options import ConfigError
 
 FAMILIES = {"envpool.atari": "atari", "envpool.procgen": "procgen"}
 

@@ -36,7 +36,7 @@ class Collector:
         """
         seeds, envs = pool.rows
         self.pool, self.act, self.steps = pool, act, steps
-        self.frames = np.zeros((seeds, steps + 1, envs, *pool.shape), pool.dtype)
+        self.frames: Any = np.zeros((seeds, steps + 1, envs, *pool.shape), pool.dtype)
         self.frames[:, steps] = pool.reset()
         self.first = np.ones((seeds, envs), bool)
         self.window: jax.Array | np.ndarray = np.zeros(
@@ -53,8 +53,8 @@ class Collector:
             "log_prob": np.zeros(rows, np.float32),
             "score": np.zeros(rows, np.float32),
         }
-        self.value = np.zeros((seeds, steps + 1, envs, heads), np.float32)
-        self.room = np.zeros(rows, np.uint8) if pool.rooms else None
+        self.value: Any = np.zeros((seeds, steps + 1, envs, heads), np.float32)
+        self.room: Any = np.zeros(rows, np.uint8) if pool.rooms else None
 
     def collect(
         self, actor: Actor, report: Callable[[int], None] = lambda step: None
@@ -68,9 +68,9 @@ class Collector:
         Returns:
           The batch for `train_step`, leaves [S, ...], and what the log needs.
         """
-        c = self.columns
+        c: Any = self.columns
         self.frames[:, 0] = self.frames[:, self.steps]
-        history = None
+        history: Any = None
         for t in range(self.steps):
             decision, self.window = self.act(
                 actor, self.window, self.frames[:, t], self.first, np.int32(t)
@@ -94,7 +94,5 @@ class Collector:
         )
         self.value[:, self.steps] = last.value
         rollout = Rollout(self.frames, c["action"], c["first"], c["done"], c["valid"])
-        batch = Experience(
-            rollout, history, c["reward"], c["truncated"], c["log_prob"], self.value
-        )
+        batch = Experience(rollout, history, c["reward"], c["truncated"], c["log_prob"], self.value)
         return batch, Track(c["score"], self.room)

@@ -26,7 +26,9 @@ def choices(group: str) -> dict[str, str]:
     """The names of a config group, each with the first line of its file that says something."""
     about = {}
     for path in sorted((CONF / group).glob("*.yaml")):
-        comments = [line[2:].strip() for line in path.read_text().splitlines() if line.startswith("# ")]
+        comments = [
+            line[2:].strip() for line in path.read_text().splitlines() if line.startswith("# ")
+        ]
         about[path.stem] = next(line for line in comments if not line.startswith("@package"))
     return about
 
@@ -47,7 +49,9 @@ def unknown(what: str, name: str, known: Iterable[str]) -> ConfigError:
     near = difflib.get_close_matches(name.lower(), lower, n=3, cutoff=0.5)
     near += [k for k in lower if k.rsplit(".", 1)[-1] == name.lower() and k not in near]
     if near:
-        return ConfigError(f"unknown {what} '{name}'; did you mean {' or '.join(lower[k] for k in near)}?")
+        return ConfigError(
+            f"unknown {what} '{name}'; did you mean {' or '.join(lower[k] for k in near)}?"
+        )
     shown = ", ".join(known) if len(known) < 30 else "see --help"
     return ConfigError(f"unknown {what} '{name}'; there is {shown}")
 
@@ -163,9 +167,11 @@ def resumed(overrides: dict[str, Override]) -> Config:
             continue
         if was != override.value():
             raise ConfigError(f"resume: the run has {key}={was}, not {override.value()}")
-    return validated(OmegaConf.to_object(OmegaConf.merge(
-        schema(), values, {"resume": str(directory), "run_dir": str(directory)}
-    )))
+    return validated(
+        OmegaConf.to_object(
+            OmegaConf.merge(schema(), values, {"resume": str(directory), "run_dir": str(directory)})
+        )
+    )
 
 
 def validated(config: Any) -> Config:
@@ -230,8 +236,12 @@ def help_text() -> str:
         lines += [f"  {name:<18} {about}" for name, about in names.items()]
     lines += ["", "options (key=value, with their defaults; env and algo may change them)"]
     for name, entry in options():
-        default = entry.default if entry.default_factory.__class__.__name__ == "_MISSING_TYPE" else {}
-        shown = {"???": "", None: ""}.get(default if not isinstance(default, dict) else None, default)
+        default = (
+            entry.default if entry.default_factory.__class__.__name__ == "_MISSING_TYPE" else {}
+        )
+        shown = {"???": "", None: ""}.get(
+            default if not isinstance(default, dict) else None, default
+        )
         values = entry.metadata["choices"]
         about = entry.metadata["about"] + (f" [{' | '.join(values)}]" if values else "")
         lines.append(f"  {name + '=' + str(shown):<34} {about}")

@@ -1,7 +1,7 @@
 """Episodes as they end: their lengths, returns and rooms, and a seed's summary of them."""
 
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,9 +31,9 @@ class Episodes:
     def take_in(
         self,
         start: int,
-        valid: np.ndarray,
-        done: np.ndarray,
-        rewards: tuple[np.ndarray, np.ndarray, np.ndarray],
+        valid: Any,
+        done: Any,
+        rewards: tuple[Any, Any, Any],
         room: np.ndarray | None,
     ) -> list[list[Episode]]:
         """The episodes that ended in a rollout, a list per seed in order of time.

@@ -24,18 +24,23 @@ def operations(jaxpr: Jaxpr) -> float:
     """
     total = 0.0
     for equation in jaxpr.eqns:
-        size = math.prod(getattr(equation.outvars[0].aval, "shape", ())) if equation.outvars else 0
+        size = math.prod(shape_of(equation.outvars[0])) if equation.outvars else 0
         if equation.primitive.name == "dot_general":
             contracted = equation.params["dimension_numbers"][0][0]
-            shape = equation.invars[0].aval.shape
+            shape = shape_of(equation.invars[0])
             total += 2.0 * size * math.prod(shape[axis] for axis in contracted)
         elif equation.primitive.name == "conv_general_dilated":
-            kernel = equation.invars[1].aval.shape
+            kernel = shape_of(equation.invars[1])
             out = equation.params["dimension_numbers"].rhs_spec[0]
             total += 2.0 * size * math.prod(kernel) / kernel[out]
         times = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
         total += times * sum(operations(inner) for inner in programs(equation.params.values()))
     return total
+
+
+def shape_of(variable: Any) -> tuple[int, ...]:
+    """The shape of an operand or a result; a token has none."""
+    return getattr(variable.aval, "shape", ())
 
 
 def programs(values: Any) -> list[Jaxpr]:

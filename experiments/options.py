@@ -23,7 +23,9 @@ class EnvConfig:
     name: str = option(MISSING, "what results are filed under")
     id: str = option(MISSING, "the envpool task, e.g. Pong-v5 (with env=envpool)")
     stack: int = option(1, "newest frames that the policy sees", low=1, high=16)
-    repeat_first: bool = option(True, "an episode's first stack repeats its first frame, else zeros")
+    repeat_first: bool = option(
+        True, "an episode's first stack repeats its first frame, else zeros"
+    )
     reward: str = option(
         "raw",
         "training reward: max(0, sign), the task's own, or 1 at the goal and 0 elsewhere",

@@ -34,7 +34,9 @@ class Progress:
         """
         self.total, self.done, self.start_done = total, done, done
         self.start = self.since = time.monotonic()
-        self.name, self.estimate, self.share = "starting", None, None
+        self.name = "starting"
+        self.estimate: float | None = None
+        self.share: float | None = None
         self.figures: dict[str, str] = {}
         self.live: Live | None = None
         console = Console()

@@ -68,7 +68,8 @@ class Records:
                 continue
             kept.append(line)
             seed, at, length, *figures = cells
-            episode = Episode(int(seed), int(at), int(length), *map(float, figures[:3]))
+            external, score, intrinsic = (float(x) for x in figures[:3])
+            episode = Episode(int(seed), int(at), int(length), external, score, intrinsic)
             self.summaries[index[episode.seed]].add(episode)
         replace(self.path / "episodes.csv", "".join(f"{line}\n" for line in kept))
 
@@ -104,9 +105,7 @@ class Records:
     def summarize(self, step: int) -> None:
         """Write summary.json for `step` rows per seed."""
         seeds = [
-            {"seed": seed, "steps": step}
-            | summary.figures()
-            | {"wall_seconds": self.wall_seconds}
+            {"seed": seed, "steps": step} | summary.figures() | {"wall_seconds": self.wall_seconds}
             for seed, summary in zip(self.seeds, self.summaries, strict=True)
         ]
         replace(self.path / "summary.json", json.dumps({"seeds": seeds}, indent=1) + "\n")

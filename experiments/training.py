@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ CHECKPOINT_SECONDS = 300  # and at least this often, however long an iteration t
 def keep_compilations() -> None:
     """Turn on jax's compilation cache, so that the next run of the same sizes starts at once."""
     default = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "sndjax" / "jax"
-    if jax.config.jax_compilation_cache_dir is None:
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         jax.config.update("jax_compilation_cache_dir", str(default))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
@@ -51,7 +51,7 @@ def build(config: Config, pool: Pool) -> sndjax.Agent:
         motivation = sndjax.Motivation(
             module,
             algo.eta,
-            algo.reward_scale,
+            cast(Any, algo.reward_scale),  # one of the choices: it was validated
             algo.learning_rate,
             algo.minibatch_size,
             algo.shuffle,
@@ -143,9 +143,7 @@ class Run:
         progress.phase("compiling the policy")
         state = self.fresh() if self.state is None else self.state
         heads = self.agent.network.value_heads
-        collector = Collector(
-            self.pool, self.act, config.env.stack, config.rollout_length, heads
-        )
+        collector = Collector(self.pool, self.act, config.env.stack, config.rollout_length, heads)
         episodes = Episodes(self.seeds, config.num_envs, self.pool.rooms)
         update, expected = None, None
         skip = int(config.env.options.get("frame_skip", 1))

@@ -27,7 +27,6 @@ from sndjax.types import (
     TrainState,
     Transition,
 )
-
 from sndjax.version import __version__
 
 __all__ = [
@@ -52,6 +51,7 @@ __all__ = [
     "Stack",
     "TrainState",
     "Transition",
+    "__version__",
     "act",
     "clipped_surrogate",
     "distillation",
@@ -69,5 +69,4 @@ __all__ = [
     "transitions",
     "vicreg",
     "vicreg_loss",
-    "__version__",
 ]

@@ -49,7 +49,11 @@ def patches(x: Shaped[Array, "B H W C"], size: int, stride: int, padding: int):
     x = jnp.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
     return jnp.concatenate(
         [
-            x[:, i : i + stride * (rows - 1) + 1 : stride, j : j + stride * (columns - 1) + 1 : stride]
+            x[
+                :,
+                i : i + stride * (rows - 1) + 1 : stride,
+                j : j + stride * (columns - 1) + 1 : stride,
+            ]
             for i in range(size)
             for j in range(size)
         ],
@@ -82,11 +86,13 @@ def sliced(x: Array, kernel: Array, bias: Array, stride: int, padding: int, acti
 
 
 def sliced_forward(x, kernel, bias, stride, padding, activation):
+    """The layer, and what its backward pass needs."""
     y = sliced(x, kernel, bias, stride, padding, activation)
     return y, (x, kernel, bias, y)
 
 
 def sliced_backward(stride, padding, activation, kept, gradient):
+    """The gradients in x (none for pixels), kernel and bias, slice by slice."""
     x, kernel, bias, y = kept
     size, outputs = kernel.shape[0], kernel.shape[-1]
     weights = kernel.reshape(-1, outputs)

@@ -94,7 +94,11 @@ def stacker(batch: Experience, stack: Stack) -> Callable[[Int[Array, " B"]], Arr
         def back(k):
             seen = jnp.minimum(k, own) if stack.repeat else k
             frame = frames[index + (older - seen) * envs]
-            return frame if stack.repeat else jnp.where(expand(k <= own, frame), frame, jnp.zeros_like(frame))
+            return (
+                frame
+                if stack.repeat
+                else jnp.where(expand(k <= own, frame), frame, jnp.zeros_like(frame))
+            )
 
         return channels(jnp.stack([back(k) for k in range(older, -1, -1)]))
 
@@ -107,6 +111,8 @@ def map_steps(
 ) -> Float[Array, "T N"]:
     """Apply a function of a batch of frames to all of `frames[T, N]`, some time steps at once."""
     steps, envs = frames.shape[:2]
-    together = max(g for g in range(1, steps + 1) if steps % g == 0 and (g == 1 or g * envs <= SLICE))
+    together = max(
+        g for g in range(1, steps + 1) if steps % g == 0 and (g == 1 or g * envs <= SLICE)
+    )
     slices = frames.reshape(steps // together, together * envs, *frames.shape[2:])
     return lax.map(function, slices).reshape(steps, envs)

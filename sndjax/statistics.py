@@ -1,6 +1,5 @@
 """Means over valid rows, running moments, and the scaling of a reward by its return."""
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
@@ -39,7 +38,9 @@ def safe_sqrt(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     Array(0., dtype=float32, weak_type=True)
     """
     positive = x > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, jnp.ones_like(x))), jnp.zeros_like(x))
+    return jnp.where(
+        positive, jnp.sqrt(jnp.where(positive, x, jnp.ones_like(x))), jnp.zeros_like(x)
+    )
 
 
 def no_moments(shape: tuple[int, ...]) -> Moments:
@@ -49,20 +50,18 @@ def no_moments(shape: tuple[int, ...]) -> Moments:
 
 def merge_moments(a: Moments, b: Moments) -> Moments:
     """Moments of the samples of both (Chan, Golub and LeVeque, 1979)."""
-    count = a.count + b.count
-    share = b.count / jnp.maximum(count, 1)
+    count = a.samples + b.samples
+    share = b.samples / jnp.maximum(count, 1)
     distance = b.mean - a.mean
     mean = a.mean + share * distance
-    m2 = a.m2 + b.m2 + a.count * share * distance**2
+    m2 = a.m2 + b.m2 + a.samples * share * distance**2
     return Moments(count, mean, m2)
 
 
 def batch_moments(x: Float[Array, "B *shape"], valid: Bool[Array, " B"]) -> Moments:
     """Moments of the valid rows of one batch."""
     mean = masked_mean(x, valid)
-    return Moments(
-        jnp.sum(valid, dtype=x.dtype), mean, masked_sum((x - mean[None]) ** 2, valid)
-    )
+    return Moments(jnp.sum(valid, dtype=x.dtype), mean, masked_sum((x - mean[None]) ** 2, valid))
 
 
 def update_moments(
@@ -83,7 +82,7 @@ def deviation(moments: Moments) -> Float[Array, "*shape"]:
     >>> deviation(no_moments((2,)))
     Array([1., 1.], dtype=float32)
     """
-    variance = moments.m2 / jnp.maximum(moments.count, 1)
+    variance = moments.m2 / jnp.maximum(moments.samples, 1)
     return jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 1)
 
 

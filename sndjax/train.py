@@ -4,8 +4,9 @@ A rollout goes through each room once: intrinsic rewards -> advantages of both r
 streams -> PPO epochs -> one pass of the motivation module.
 """
 
+import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -79,6 +80,13 @@ def scale_vectors(
     return frames / scale.reshape((1,) * (frames.ndim - 1) + (-1,))
 
 
+def forward(
+    network: ActorCritic, params: Params, stacked: Shaped[Array, "B *stack"]
+) -> tuple[Float[Array, "B A"], Float[Array, "B K"]]:
+    """Logits and values of a batch of stacks."""
+    return cast(tuple[Array, Array], network.apply(params, stacked))
+
+
 def init(agent: Agent, key: PRNGKeyArray, example: Shaped[Array, "N *frame"]) -> TrainState:
     """The state before the first iteration; `example` gives the shape and dtype of frames."""
     key, key_policy, key_module = jax.random.split(key, 3)
@@ -123,7 +131,7 @@ def act(
     """
     window = push(window, frame, first, agent.stack.repeat)
     seen = scale_vectors(window, actor.observations, agent.unbounded)
-    logits, value = agent.network.apply(actor.policy, channels(seen))
+    logits, value = forward(agent.network, actor.policy, channels(seen))
     key = jax.random.fold_in(jax.random.fold_in(actor.key, 1), step)
     key_action, key_random, key_which = jax.random.split(key, 3)
     action = jax.random.categorical(key_action, logits)
@@ -156,7 +164,10 @@ def advantages(
     """The weighted advantage of both streams, and the value targets of every head."""
     rollout = batch.rollout
     truncated = batch.truncated if hyper.bootstrap_truncated else None
-    streams = [(batch.reward, hyper.gamma_ext, True), (int_reward, hyper.gamma_int, hyper.episodic_int)]
+    streams = [
+        (batch.reward, hyper.gamma_ext, True),
+        (int_reward, hyper.gamma_int, hyper.episodic_int),
+    ]
     weights = (hyper.ext_weight, hyper.int_weight)
     heads = batch.value.shape[-1]
     estimates = [
@@ -172,7 +183,8 @@ def advantages(
         )
         for k, (reward, gamma, episodic) in enumerate(streams[:heads])
     ]
-    total = sum(w * a for w, a in zip(weights[:heads], estimates, strict=True))
+    weighted = [w * a for w, a in zip(weights, estimates, strict=False)]
+    total = functools.reduce(jnp.add, weighted)
     targets = jnp.stack(estimates, axis=-1) + batch.value[:-1]
     valid = rollout.valid
     if hyper.normalize_advantages:
@@ -198,8 +210,9 @@ def train_policy(
     flat = lambda x: x.reshape(rows, *x.shape[2:])
     columns = [flat(x) for x in (rollout.action, batch.log_prob, advantage, target, rollout.valid)]
 
-    def loss(params, stacked, *rows):
-        return ppo.loss(*agent.network.apply(params, stacked), *rows, hyper)
+    def loss(params, stacked, action, log_prob, advantage, target, valid):
+        logits, value = forward(agent.network, params, stacked)
+        return ppo.loss(logits, value, action, log_prob, advantage, target, valid, hyper)
 
     def minibatch(carry, index):
         params, optimizer_state = carry
@@ -278,13 +291,17 @@ def intrinsic_reward(
         state = state._replace(intrinsic_state=module_state, reward_scale=reward_scale)
     some = jnp.any(valid)
     mean = lambda x: jnp.where(some, jnp.mean(x, where=valid), 0.0)
-    return state, reward, {
-        "int_signal_mean": mean(signal),
-        "int_reward_mean": mean(reward),
-        "int_reward_std": jnp.where(some, jnp.std(reward, where=valid), 0.0),
-        "int_reward_max": jnp.max(reward, where=valid, initial=0.0),
-        "int_reward_clipped": mean(clipped),
-    }
+    return (
+        state,
+        reward,
+        {
+            "int_signal_mean": mean(signal),
+            "int_reward_mean": mean(reward),
+            "int_reward_std": jnp.where(some, jnp.std(reward, where=valid), 0.0),
+            "int_reward_max": jnp.max(reward, where=valid, initial=0.0),
+            "int_reward_clipped": mean(clipped),
+        },
+    )
 
 
 def make_train_step(

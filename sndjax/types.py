@@ -91,9 +91,7 @@ class IntrinsicModule(NamedTuple):
     """
 
     init: Callable[[PRNGKeyArray, Shaped[Array, "N *frame"]], tuple[Params, State]]
-    reward: Callable[
-        [Params, State, Rollout, PRNGKeyArray], tuple[Float[Array, "T N"], State]
-    ]
+    reward: Callable[[Params, State, Rollout, PRNGKeyArray], tuple[Float[Array, "T N"], State]]
     loss: Callable[
         [Params, State, Transition, Rollout, PRNGKeyArray],
         tuple[Float[Array, ""], Metrics],
@@ -104,7 +102,7 @@ class IntrinsicModule(NamedTuple):
 class Moments(NamedTuple):
     """Running mean and spread of a stream of arrays, weighted by sample counts."""
 
-    count: Float[Array, ""]
+    samples: Float[Array, ""]
     mean: Float[Array, "*shape"]
     m2: Float[Array, "*shape"]  # sum of squared distances from the mean
 

@@ -17,7 +17,13 @@ class Kind(NamedTuple):
     actions: int
 
 
-TOY = {"channels": (8, 8, 8), "last": 8, "last_learned": 8, "rnd_channels": (8, 8, 8), "features": 16}
+TOY = {
+    "channels": (8, 8, 8),
+    "last": 8,
+    "last_learned": 8,
+    "rnd_channels": (8, 8, 8),
+    "features": 16,
+}
 KINDS = [
     Kind("atari", ATARI._replace(**TOY), (24, 24, 1), 18),
     Kind("procgen", PROCGEN._replace(**TOY), (24, 24, 3), 15),

@@ -115,8 +115,8 @@ def test_distillation_on_a_fixed_batch_falls(name, kind):
 
     @jax.jit
     def step(learned, optimizer_state, key):
-        loss = lambda l: module.loss(rest | {"learned": l}, state, rows, batch, key)[1]
-        value, gradient = jax.value_and_grad(lambda l: loss(l)["distillation_loss"])(learned)
+        loss = lambda p: module.loss(rest | {"learned": p}, state, rows, batch, key)[1]
+        value, gradient = jax.value_and_grad(lambda p: loss(p)["distillation_loss"])(learned)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state)
         return optax.apply_updates(learned, updates), optimizer_state, value
 

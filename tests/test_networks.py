@@ -63,7 +63,9 @@ def test_actor_critic_has_the_parameters_of_the_table(kind, stack, parameters):
     assert value.shape == (2, 2)
 
 
-@pytest.mark.parametrize(("kind", "local"), [("atari", (12, 12, 64)), ("procgen", (8, 8, 64)), ("vector", (1, 1, 64))])
+@pytest.mark.parametrize(
+    ("kind", "local"), [("atari", (12, 12, 64)), ("procgen", (8, 8, 64)), ("vector", (1, 1, 64))]
+)
 def test_local_map_is_the_third_layer(kind, local):
     from sndjax.algorithms import pair
 

@@ -55,9 +55,7 @@ def test_equals_brute_force(seed, bootstrap, episodic):
     limit = truncated if bootstrap else None
     wanted = brute_force(reward, value, done, valid, 0.9, 0.8, limit, episodic)
     args = on_device(reward, value, done, valid)
-    got = jitted(
-        *args, 0.9, 0.8, jnp.asarray(truncated) if bootstrap else None, episodic
-    )
+    got = jitted(*args, 0.9, 0.8, jnp.asarray(truncated) if bootstrap else None, episodic)
     np.testing.assert_allclose(got, wanted, atol=1e-4)
 
 

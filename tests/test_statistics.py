@@ -47,7 +47,7 @@ def test_moments_are_those_of_all_valid_samples_however_they_are_split(seed, len
         x[~valid] = np.nan
         moments = jitted_update(moments, jnp.asarray(x), jnp.asarray(valid))
     seen = np.concatenate(seen).astype(np.float64)
-    assert moments.count == len(seen)
+    assert moments.samples == len(seen)
     if len(seen):
         np.testing.assert_allclose(moments.mean, seen.mean(0), atol=1e-5)
         np.testing.assert_allclose(moments.m2 / len(seen), seen.var(0), atol=1e-4)
@@ -79,9 +79,7 @@ def test_return_scale_is_a_brute_force_filter_over_time():
     valid = rng.random((2, 7, 3)) < 0.8
     scale, sums, seen = init_return_scale(3), np.zeros(3), []
     for part in range(2):  # the sum goes on from rollout to rollout
-        scale = update_return_scale(
-            scale, jnp.asarray(reward[part]), jnp.asarray(valid[part]), 0.9
-        )
+        scale = update_return_scale(scale, jnp.asarray(reward[part]), jnp.asarray(valid[part]), 0.9)
         for t in range(7):
             for n in range(3):
                 if valid[part, t, n]:

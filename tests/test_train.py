@@ -15,7 +15,11 @@ from sndjax import ppo
 from sndjax.algorithms import NAMED
 from sndjax.train import train_module
 
-STACKS = {"atari": sndjax.Stack(4, True), "procgen": sndjax.Stack(2, False), "vector": sndjax.Stack()}
+STACKS = {
+    "atari": sndjax.Stack(4, True),
+    "procgen": sndjax.Stack(2, False),
+    "vector": sndjax.Stack(),
+}
 STEPS, ENVS = 8, 4
 
 
@@ -59,7 +63,7 @@ def equal(one, other, **tolerance):
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 @pytest.mark.parametrize("name", NAMED)
 def test_one_step_is_finite_and_moves_what_it_should(name, kind):
-    agent, state, step = made(name, kind)
+    _, state, step = made(name, kind)
     after, metrics, int_reward = step(state, batch_for(kind, heads=heads(name)))
     for key, value in metrics.items():
         assert value.shape == (), key
@@ -79,7 +83,7 @@ def test_one_step_is_finite_and_moves_what_it_should(name, kind):
 @pytest.mark.parametrize("name", ["ppo", "rnd", "snd_std"])
 def test_reset_rows_full_of_garbage_change_no_gradient_and_no_metric(name, kind):
     """Everything a reset row holds, except the frames it shares with its neighbours."""
-    agent, state, step = made(name, kind)
+    _, state, step = made(name, kind)
 
     @settings(deadline=None, max_examples=5, database=None)
     @given(st.integers(0, 2**32 - 1))
@@ -102,7 +106,9 @@ def test_reset_rows_full_of_garbage_change_no_gradient_and_no_metric(name, kind)
             log_prob=fill(batch.log_prob, noise),
             truncated=batch.truncated | invalid,
             value=batch.value.at[:-1].set(
-                jnp.where(jnp.asarray(invalid)[..., None], jnp.asarray(noise)[..., None], batch.value[:-1])
+                jnp.where(
+                    jnp.asarray(invalid)[..., None], jnp.asarray(noise)[..., None], batch.value[:-1]
+                )
             ),
         )
         equal(step(state, batch), step(state, dirty))
@@ -134,7 +140,7 @@ def test_lone_frames_of_reset_rows_are_never_seen():
 @pytest.mark.parametrize("kind", [KINDS[0], KINDS[2]], ids=lambda kind: kind.name)
 @pytest.mark.parametrize("name", ["ppo", "snd_std"])
 def test_a_seed_among_others_learns_what_it_learns_alone(name, kind):
-    agent, _, step = made(name, kind)
+    agent, _, _ = made(name, kind)
     keys = jnp.stack([jax.random.key(seed) for seed in (5, 6, 7)])
     init = lambda key: sndjax.init(agent, key, example(kind))
     states = jax.jit(over_seeds(init, 3))(keys)
@@ -199,8 +205,8 @@ def test_on_a_fixed_rollout_the_distillation_loss_falls_over_ten_updates(name, k
 
     @jax.jit
     def copy(learned, optimizer_state):
-        loss = lambda l: module.loss(
-            frozen | {"learned": l}, state.intrinsic_state, rows, batch.rollout, jax.random.key(1)
+        loss = lambda p: module.loss(
+            frozen | {"learned": p}, state.intrinsic_state, rows, batch.rollout, jax.random.key(1)
         )[1]["distillation_loss"]
         value, gradient = jax.value_and_grad(loss)(learned)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state)
@@ -252,14 +258,12 @@ def test_unbounded_components_are_divided_by_what_was_seen_before_this_iteration
     seen = np.asarray(batch.rollout.frames[:-1])[np.asarray(batch.rollout.valid)]
     np.testing.assert_allclose(scaled.observations.mean, seen.mean(0), rtol=1e-4, atol=1e-6)
     # The first iteration divides by 1; the second by what the first saw.
-    second, metrics, _ = step(scaled, batch)
+    _, metrics, _ = step(scaled, batch)
     divided = np.where([True, False, True, False, False], seen.std(0), 1).astype(np.float32)
     by_hand = batch._replace(
         rollout=batch.rollout._replace(frames=batch.rollout.frames / divided[None, None]),
         history=batch.history / divided[None, None],
     )
     plain = jax.jit(sndjax.make_train_step(agent._replace(unbounded=())))
-    expected, expected_metrics, _ = plain(
-        scaled._replace(observations=state.observations), by_hand
-    )
+    _, expected_metrics, _ = plain(scaled._replace(observations=state.observations), by_hand)
     equal(metrics, expected_metrics, rtol=1e-3, atol=1e-5)

@@ -1,6 +1,7 @@
 """Spatio-temporal deep infomax with the regularisers of SND-STD (eq. 5.1-5.6)."""
 
 import math
+from typing import cast
 
 import chex
 import flax.linen as nn
@@ -160,8 +161,8 @@ def st_dim(norm_weight: float = 1e-4, spread_weight: float = 1e-4) -> Objective:
         projection = Projection(features.local.shape[-1])
         return st_dim_loss(
             features.local,
-            projection.apply(params["local"], features.local_next),
-            projection.apply(params["global"], features.z_next),
+            cast(Array, projection.apply(params["local"], features.local_next)),
+            cast(Array, projection.apply(params["global"], features.z_next)),
             features.z,
             batch.valid,
             norm_weight,

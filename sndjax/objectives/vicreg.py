@@ -60,9 +60,7 @@ def vicreg_loss(
     }
 
 
-def vicreg(
-    invariance: float = 1.0, variance: float = 1.0, covariance: float = 1 / 25
-) -> Objective:
+def vicreg(invariance: float = 1.0, variance: float = 1.0, covariance: float = 1 / 25) -> Objective:
     """The VICReg objective (eq. 5.7), without parameters of its own. See `vicreg_loss`.
 
     >>> vicreg().init(None, None, 18)

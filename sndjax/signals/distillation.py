@@ -1,19 +1,19 @@
 """Distillation: the novelty of a state is how badly a learned network copies a target there."""
 
-from typing import Literal
+from typing import Literal, cast
 
 import chex
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 
 from sndjax.convolution import to_float
 from sndjax.networks import Encoder
 from sndjax.preprocessing import Preprocess, preprocessor
 from sndjax.rollout import map_steps, without_invalid
 from sndjax.statistics import expand, no_moments, update_moments
-from sndjax.types import Features, IntrinsicModule, Moments, Objective
+from sndjax.types import Features, IntrinsicModule, Moments, Objective, Params
 
 
 def distillation_error(
@@ -58,12 +58,20 @@ def distillation_loss(
     chex.assert_equal_shape([learned, target])
     counted = jnp.broadcast_to(expand(valid, learned), learned.shape)
     if keep < 1:
+        assert key is not None, "keep < 1 draws entries with a key"
         counted &= jax.random.bernoulli(key, keep, learned.shape)
     squared = (learned - lax.stop_gradient(target)) ** 2
     total = jnp.sum(jnp.where(counted, squared, jnp.zeros_like(squared)))
     if reduction == "sum":
         return total
     return total / jnp.maximum(jnp.sum(counted, dtype=learned.dtype), 1)
+
+
+def forward(
+    network: Encoder, params: Params, frames: Shaped[Array, "B *frame"]
+) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
+    """Features and local map of a batch of frames."""
+    return cast(tuple[Array, Array], network.apply(params, frames))
 
 
 def distillation(
@@ -105,7 +113,7 @@ def distillation(
         state = {"moments": no_moments(frame.shape[1:]) if moving else None}
         if objective is None:
             return params, state | {"target": target_params}
-        z, local = target.apply(target_params, frame)
+        z, local = forward(target, target_params, frame)
         features = Features(z, z, local, local)
         params["target"] = target_params
         params["objective"] = objective.init(key_objective, features, num_actions)
@@ -123,8 +131,8 @@ def distillation(
 
         def novelty(frame):
             frame = prepare(frame)
-            copied, _ = learned.apply(params["learned"], frame)
-            wanted, _ = target.apply(target_of(params, state), frame)
+            copied, _ = forward(learned, params["learned"], frame)
+            wanted, _ = forward(target, target_of(params, state), frame)
             return distillation_error(copied, wanted, signal)
 
         value = map_steps(novelty, frames)
@@ -137,10 +145,10 @@ def distillation(
         key_keep, key_objective = jax.random.split(key)
 
         def encode(frames):
-            return target.apply(target_of(params, state), prepare(frames))
+            return forward(target, target_of(params, state), prepare(frames))
 
         z, local = encode(batch.frame)
-        copied, _ = learned.apply(params["learned"], frame)
+        copied, _ = forward(learned, params["learned"], frame)
         total = distillation_loss(copied, z, batch.valid, key_keep, keep, reduction)
         metrics = {"distillation_loss": total}
         if objective is not None:

@@ -36,9 +36,7 @@ def test_a_state_comes_back_bit_for_bit(name, tmp_path):
     state = state._replace(iteration=state.iteration + 3)
     assert jax.tree.structure(state) == jax.tree.structure(restored)
     raw = lambda tree: tree._replace(key=jax.random.key_data(tree.key))
-    for one, other in zip(
-        jax.tree.leaves(raw(state)), jax.tree.leaves(raw(restored)), strict=True
-    ):
+    for one, other in zip(jax.tree.leaves(raw(state)), jax.tree.leaves(raw(restored)), strict=True):
         assert one.dtype == other.dtype
         np.testing.assert_array_equal(one, other)
 

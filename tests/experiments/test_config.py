@@ -127,7 +127,10 @@ def test_bad_input_is_refused_in_one_line_that_helps(arguments, words):
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 KEYS = st.one_of(st.sampled_from([name for name, _ in config.options()]), TEXT)
 VALUES = st.one_of(
-    TEXT, st.integers().map(str), st.floats().map(str), st.sampled_from(["null", "[]", "{}", "${x}", "true"])
+    TEXT,
+    st.integers().map(str),
+    st.floats().map(str),
+    st.sampled_from(["null", "[]", "{}", "${x}", "true"]),
 )
 
 
@@ -155,7 +158,8 @@ def test_a_stored_configuration_reads_back_as_it_was(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[1, 2]", "env: 3", "seed: many", "a: !!python/object/apply:os.system [ls]", "{", "x: 1"]
+    "text",
+    ["", "[1, 2]", "env: 3", "seed: many", "a: !!python/object/apply:os.system [ls]", "{", "x: 1"],
 )
 def test_a_stored_configuration_that_is_none_is_refused(tmp_path, text):
     (tmp_path / "config.yaml").write_text(text)

@@ -115,12 +115,20 @@ def test_a_seed_has_the_same_environments_alone_and_among_others():
     frames = [alone.reset()[0], together.reset()[1]]
     for _ in range(30):
         np.testing.assert_array_equal(*frames)
-        frames = [alone.step(np.full((1, 2), 2)).frame[0], together.step(np.full((2, 2), 2)).frame[1]]
+        frames = [
+            alone.step(np.full((1, 2), 2)).frame[0],
+            together.step(np.full((2, 2), 2)).frame[1],
+        ]
 
 
 @pytest.mark.parametrize(
     ("task", "size", "unbounded"),
-    [("CartPole-v1", 4, (1, 3)), ("FrozenLake-v1", 16, ()), ("Catch-v0", 50, ()), ("LunarLander-v2", 8, tuple(range(8)))],
+    [
+        ("CartPole-v1", 4, (1, 3)),
+        ("FrozenLake-v1", 16, ()),
+        ("Catch-v0", 50, ()),
+        ("LunarLander-v2", 8, tuple(range(8))),
+    ],
 )
 def test_other_tasks_are_read_as_vectors(task, size, unbounded):
     pool = Pool(config("envpool", f"env.id={task}"), [0], 3)

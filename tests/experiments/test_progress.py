@@ -28,9 +28,9 @@ def test_the_display_shows_the_time_gone_against_the_estimate(monkeypatch):
     monkeypatch.setattr("experiments.progress.time.monotonic", lambda: now + 23)
     progress.phase("learning", 130)
     monkeypatch.setattr("experiments.progress.time.monotonic", lambda: now + 46)
-    assert list(progress.render().columns[2].cells)[0] == "learning 0:23 of about 2:10"
+    assert next(iter(progress.render().columns[2].cells)) == "learning 0:23 of about 2:10"
     progress.within(0.5)
-    assert list(progress.render().columns[2].cells)[0] == "learning 0:23 (50%)"
+    assert next(iter(progress.render().columns[2].cells)) == "learning 0:23 (50%)"
 
 
 def test_times_and_missing_figures():

@@ -4,7 +4,14 @@ import math
 from experiments.episodes import Episode
 from experiments.records import Records
 
-ENTRY = {"iteration": 1, "step": 8, "transitions": 7, "frames": 32, "loss": 0.5, "wall_seconds": 2.0}
+ENTRY = {
+    "iteration": 1,
+    "step": 8,
+    "transitions": 7,
+    "frames": 32,
+    "loss": 0.5,
+    "wall_seconds": 2.0,
+}
 
 
 def filled(path, iterations=3):
