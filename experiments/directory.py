@@ -11,6 +11,7 @@ from experiments.config import to_yaml
 from experiments.options import Config, ConfigError
 
 LOCK = ".lock"
+CONFIG = "config.yaml"
 
 
 class Directory:
@@ -27,36 +28,46 @@ class Directory:
         """
         self.path = Path(config.run_dir) if config.run_dir else fresh(config)
         self.resumed = config.resume is not None
-        made = first_missing(self.path)
+        self.made = missing(self.path)
         try:
+            used = not self.resumed and self.path.is_dir() and any(self.path.iterdir())
+            if used and not (self.path / LOCK).exists():
+                raise ConfigError(self.not_empty())
             self.path.mkdir(parents=True, exist_ok=True)
             self.lock = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
-            if made is not None:
-                shutil.rmtree(made, ignore_errors=True)
+            self.unmake()
             raise ConfigError(f"cannot write to {self.path}: {error.strerror}") from None
-        self.made = made
         try:
             fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise ConfigError(f"run directory {self.path} is in use by another run") from None
-        if not self.resumed and any(p.name != LOCK for p in self.path.iterdir()):
-            raise ConfigError(
-                f"run directory {self.path} is not empty (to go on: resume={self.path})"
-            )
+        if not self.resumed and any(entry.name != LOCK for entry in self.path.iterdir()):
+            raise ConfigError(self.not_empty())
+
+    def not_empty(self) -> str:
+        """Why a directory with something in it is refused."""
+        return f"run directory {self.path} is not empty (to go on: resume={self.path})"
+
+    def unmake(self) -> None:
+        """Remove the directories that were made for this run, as far as they are empty."""
+        for path in self.made:
+            try:
+                path.rmdir()
+            except OSError:
+                return
 
     def abandon(self) -> None:
-        """Leave no trace, where nothing was written yet."""
+        """Leave no trace of a run that was refused; its directory was empty when it was claimed."""
+        if not self.resumed and not (self.path / CONFIG).exists():
+            for entry in self.path.iterdir():
+                shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+            self.unmake()
         os.close(self.lock)
-        if self.resumed:
-            return
-        (self.path / LOCK).unlink(missing_ok=True)
-        if self.made is not None:
-            shutil.rmtree(self.made, ignore_errors=True)
 
     def begin(self, config: Config, versions: dict[str, str]) -> None:
         """Write `config.yaml`, from which the run can be resumed and repeated."""
-        path = self.path / "config.yaml"
+        path = self.path / CONFIG
         if path.exists():
             return
         head = "".join(f"# {name} {version}\n" for name, version in versions.items())
@@ -70,10 +81,9 @@ def fresh(config: Config) -> Path:
     return Path("runs") / name / config.algo.name / stamp
 
 
-def first_missing(path: Path) -> Path | None:
-    """The outermost directory on the way to `path` that is not there yet."""
-    missing = [p for p in (path, *path.parents) if not p.exists()]
-    return missing[-1] if missing else None
+def missing(path: Path) -> list[Path]:
+    """The directories on the way to `path` that are not there yet, the innermost first."""
+    return [place for place in (path, *path.parents) if not place.exists()]
 
 
 def replace(path: Path, text: str) -> None:

@@ -19,10 +19,11 @@ from experiments.directory import Directory
 from experiments.environments import Pool
 from experiments.episodes import Episodes
 from experiments.estimate import seconds
-from experiments.options import Config, ConfigError
+from experiments.options import Config
 from experiments.process import return_freed_memory
 from experiments.progress import Progress, clock
 from experiments.records import Records
+from experiments.versions import versions
 from sndjax.algorithms import NAMED
 
 CHECKPOINT_SECONDS = 300  # and at least this often, however long an iteration takes
@@ -221,14 +222,8 @@ def train(config: Config, directory: Directory) -> None:
     """Train the configuration in its directory, or go on with what is there.
 
     Raises:
-      ConfigError: the task or the checkpoint refuses the configuration; nothing is left behind.
+      ConfigError: the task or the checkpoint refuses the configuration; nothing was written yet.
     """
-    try:
-        run = Run(config, directory)
-    except ConfigError:
-        (directory.path / "checkpoints").rmdir() if not directory.resumed else None
-        raise
-    from experiments.versions import versions
-
+    run = Run(config, directory)
     directory.begin(config, versions())
     run.train()
