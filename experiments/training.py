@@ -83,6 +83,18 @@ def over_seeds(function: Callable[..., Any], seeds: int, shared: int = 0) -> Cal
     return single
 
 
+def first_states(agent: sndjax.Agent, seeds: list[int], example: Any) -> sndjax.TrainState:
+    """The state of every seed before its first iteration, leaves [S, ...].
+
+    One seed after another: under vmap the orthogonal weights become a batched QR
+    decomposition, and two of those at once deadlock jaxlib 0.10.2 on a CPU of two cores (each
+    holds a thread of the pool and waits there for the other's).
+    """
+    init = jax.jit(partial(sndjax.init, agent))
+    states = [init(jax.random.key(seed), example) for seed in seeds]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+
 def rss_mb() -> float:
     """Resident memory of this process, in MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -103,10 +115,7 @@ class Run:
         self.pool = Pool(config.env, self.seeds, config.num_envs, start)
         self.agent = build(config, self.pool)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
-        keys = jnp.stack([jax.random.key(seed) for seed in self.seeds])
-        self.fresh = lambda: jax.jit(
-            over_seeds(lambda key: sndjax.init(self.agent, key, example), count)
-        )(keys)
+        self.fresh = lambda: first_states(self.agent, self.seeds, example)
         self.act = jax.jit(over_seeds(partial(sndjax.act, self.agent), count, shared=1))
         self.train_step = jax.jit(
             over_seeds(sndjax.make_train_step(self.agent), count), donate_argnums=0

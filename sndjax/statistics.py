@@ -34,8 +34,8 @@ def masked_mean(x: Float[Array, "B *rest"], valid: Bool[Array, " B"]) -> Float[A
 def safe_sqrt(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Square root whose gradient at 0 is 0 instead of infinite.
 
-    >>> jax.grad(safe_sqrt)(0.0)
-    Array(0., dtype=float32, weak_type=True)
+    >>> jax.grad(safe_sqrt)(jnp.zeros(()))
+    Array(0., dtype=float32)
     """
     positive = x > 0
     return jnp.where(

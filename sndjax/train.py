@@ -208,6 +208,7 @@ def train_policy(
     rows = advantage.size
     index = jax.random.permutation(key, rows).reshape(-1, hyper.minibatch_size)
     flat = lambda x: x.reshape(rows, *x.shape[2:])
+    valid = flat(rollout.valid)
     columns = [flat(x) for x in (rollout.action, batch.log_prob, advantage, target, rollout.valid)]
 
     def loss(params, stacked, action, log_prob, advantage, target, valid):
@@ -216,8 +217,11 @@ def train_policy(
 
     def minibatch(carry, index):
         params, optimizer_state = carry
+        seen = stacks(index)
         gradient, metrics = jax.grad(loss, has_aux=True)(
-            params, stacks(index), *(column[index] for column in columns)
+            params,
+            jnp.where(expand(valid[index], seen), seen, jnp.zeros_like(seen)),
+            *(c[index] for c in columns),
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         metrics["grad_norm"] = optax.tree.norm(gradient)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sndjax
-from experiments.training import over_seeds
+from experiments.training import first_states, over_seeds
 from sndjax import ppo
 from sndjax.algorithms import NAMED
 from sndjax.train import train_module
@@ -141,16 +141,15 @@ def test_lone_frames_of_reset_rows_are_never_seen():
 @pytest.mark.parametrize("name", ["ppo", "snd_std"])
 def test_a_seed_among_others_learns_what_it_learns_alone(name, kind):
     agent, _, _ = made(name, kind)
-    keys = jnp.stack([jax.random.key(seed) for seed in (5, 6, 7)])
-    init = lambda key: sndjax.init(agent, key, example(kind))
-    states = jax.jit(over_seeds(init, 3))(keys)
+    seeds = [5, 6, 7]
+    states = first_states(agent, seeds, example(kind))
     batches = [batch_for(kind, seed, heads(name)) for seed in range(3)]
     together = jax.jit(over_seeds(sndjax.make_train_step(agent), 3))(
         states, jax.tree.map(lambda *x: jnp.stack(x), *batches)
     )
     alone = over_seeds(sndjax.make_train_step(agent), 1)
     for i, batch in enumerate(batches):
-        state = jax.jit(init)(keys[i])
+        state = jax.tree.map(lambda x: x[0], first_states(agent, seeds[i : i + 1], example(kind)))
         equal(state.policy, jax.tree.map(lambda x: x[i], states.policy), rtol=1e-5, atol=1e-6)  # noqa: B023
         one = jax.tree.map(lambda x: x[None], (state, batch))
         got = jax.jit(alone)(*one)

@@ -10,7 +10,7 @@ import sndjax
 from experiments.collect import Collector
 from experiments.config import load
 from experiments.environments import Pool
-from experiments.training import build, over_seeds
+from experiments.training import build, first_states, over_seeds
 from sndjax.rollout import stacker
 
 
@@ -23,8 +23,7 @@ def test_a_rollout_holds_what_the_environments_returned_and_the_policy_said():
     size = sndjax.ATARI._replace(channels=(4, 4, 4), last=4, rnd_channels=(4, 4, 4), features=8)
     agent = build(config, pool)._replace(network=sndjax.ActorCritic(size, 18))
     example = jnp.zeros((4, 96, 96, 1), jnp.uint8)
-    keys = jnp.stack([jax.random.key(0), jax.random.key(1)])
-    state = over_seeds(lambda key: sndjax.init(agent, key, example), 2)(keys)
+    state = first_states(agent, [0, 1], example)
     actor = sndjax.Actor(state.policy, state.observations, state.key)
     act = jax.jit(over_seeds(functools.partial(sndjax.act, agent), 2, shared=1))
     collector = Collector(pool, act, 4, 16, 2)
