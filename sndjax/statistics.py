@@ -34,6 +34,7 @@ def masked_mean(x: Float[Array, "B *rest"], valid: Bool[Array, " B"]) -> Float[A
 def safe_sqrt(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Square root whose gradient at 0 is 0 instead of infinite.
 
+    >>> import jax
     >>> jax.grad(safe_sqrt)(jnp.zeros(()))
     Array(0., dtype=float32)
     """
