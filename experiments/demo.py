@@ -9,7 +9,7 @@ from pathlib import Path
 
 ALGORITHMS = ("ppo", "snd_vic")
 SEEDS = 3
-STEPS = 650_000
+STEPS = 1_000_000
 
 
 def main() -> int:
