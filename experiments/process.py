@@ -4,7 +4,7 @@ import ctypes
 import os
 from importlib.metadata import version
 
-# Orders an update's operations for memory on a CPU: a third less of it at the same speed
+# Orders an update's operations for memory on a CPU: a third less of it
 # (1.84 GB of temporaries become 1.21 GB for snd_std on Atari). XLA aborts on a flag that
 # it does not know, so it is set for the versions alone that it was tried with.
 MEMORY_SCHEDULE = "--xla_cpu_enable_concurrency_optimized_scheduler=false"

@@ -32,7 +32,6 @@ class Records:
         self.summaries = [Summary() for _ in seeds]
         self.wall_seconds = 0.0
         self.transitions = [0 for _ in seeds]
-        self.step = step
         if step:
             self.rewind(step)
         self.metrics = (path / "metrics.jsonl").open("a")
