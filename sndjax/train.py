@@ -208,8 +208,8 @@ def train_policy(
     rows = advantage.size
     index = jax.random.permutation(key, rows).reshape(-1, hyper.minibatch_size)
     flat = lambda x: x.reshape(rows, *x.shape[2:])
-    valid = flat(rollout.valid)
     columns = [flat(x) for x in (rollout.action, batch.log_prob, advantage, target, rollout.valid)]
+    valid = columns[-1]
 
     def loss(params, stacked, action, log_prob, advantage, target, valid):
         logits, value = forward(agent.network, params, stacked)
