@@ -16,10 +16,11 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from experiments.options import Config, ConfigError
+from experiments.options import COPYING, OBJECTIVES, Config, ConfigError
 
 CONF = Path(__file__).parent / "conf"
 GROUPS = ("env", "algo")
+BY_ID = ("envpool", "gymnasium")  # environments that are named by env.id=
 
 
 def choices(group: str) -> dict[str, str]:
@@ -108,19 +109,26 @@ def load(arguments: list[str]) -> Config:
     overrides = parse(arguments)
     if "resume" in overrides and overrides["resume"].value() is not None:
         return resumed(overrides)
+    if "algo.module" in overrides:
+        overrides.setdefault("algo", OverridesParser.create().parse_override("algo=module"))
     for group in GROUPS:
         if group not in overrides:
             names = ", ".join(choices(group))
             raise ConfigError(f"say {group}=NAME, one of: {names} (--help explains)")
+    check_algorithm(overrides)
     lines = [line(override) for override in overrides.values()]
-    if "env.id" in overrides or overrides["env"].value() == "envpool":
+    env = str(overrides["env"].value())
+    if env in BY_ID and "env.id" not in overrides:
+        example = {"envpool": "Pong-v5", "gymnasium": "CartPole-v1"}[env]
+        raise ConfigError(f"env={env} needs a task: env.id={example}, say")
+    if "env.id" in overrides and env != "gymnasium":
         from experiments.catalogue import family_of  # imports envpool
 
-        if "env.id" not in overrides:
-            raise ConfigError("env=envpool needs a task: env.id=Pong-v5, say")
         family = family_of(str(overrides["env.id"].value()))
-        if overrides["env"].value() == "envpool":
+        if env == "envpool":
             lines.append(f"family@env={family}")
+    if "algo.module" in overrides:
+        lines.append(f"algo.name={function_of(str(overrides['algo.module'].value()))}")
     ConfigStore.instance().store(name="schema", node=schema())
     try:
         with initialize_config_dir(str(CONF.resolve()), version_base="1.3"):
@@ -129,6 +137,38 @@ def load(arguments: list[str]) -> Config:
         raise ConfigError(reason(error)) from None
     assert isinstance(config, Config)
     return validated(config)
+
+
+def check_algorithm(overrides: dict[str, Override]) -> None:
+    """Raise where the options that make up a cell do not go with the algorithm that is named."""
+    algo = str(overrides["algo"].value())
+    given = [k for k in ("algo.objective", "algo.signal") if k in overrides]
+    if given and algo == "ppo":
+        known = ", ".join(OBJECTIVES)
+        raise ConfigError(
+            f"algo=ppo has no encoder, so {given[0]} means nothing; take algo=grid "
+            f"algo.objective=NAME algo.signal=NAME, objectives being {known}"
+        )
+    if given and algo != "grid":
+        raise ConfigError(f"{given[0]}: algo={algo} is a cell with its own; take algo=grid")
+    if algo == "grid" and len(given) < 2:
+        raise ConfigError("algo=grid needs both algo.objective=NAME and algo.signal=NAME")
+    if (algo == "module") != ("algo.module" in overrides):
+        raise ConfigError("algo.module=FILE.py:FUNCTION goes with algo=module, and it with that")
+    if algo == "module":
+        for key in ("preprocess", "activation", "pairing", "gradient"):
+            if f"algo.{key}" in overrides:
+                raise ConfigError(f"algo.{key}: set it inside the function that algo.module names")
+
+
+def function_of(module: str) -> str:
+    """The function's name in FILE.py:FUNCTION."""
+    path, colon, name = module.rpartition(":")
+    if not (colon and path.endswith(".py") and name.isidentifier()):
+        raise ConfigError(f"algo.module={module}: write FILE.py:FUNCTION")
+    if not Path(path).is_file():
+        raise ConfigError(f"algo.module={module}: there is no file {path}")
+    return name
 
 
 def line(override: Override) -> str:
@@ -159,11 +199,18 @@ def resumed(overrides: dict[str, Override]) -> Config:
         raise ConfigError(f"{path} cannot be read: {reason(error)}") from None
     assert isinstance(stored, Config)
     values = OmegaConf.create(asdict(stored))
+    if stored.algo.module is not None and "algo.module" not in overrides:
+        raise ConfigError(
+            "resume: the run is of a bonus that is code, and no stored file may name code; "
+            f"say algo.module={stored.algo.module} again if you trust it"
+        )
     for key, override in overrides.items():
         if key == "run_dir":
             raise ConfigError("resume already names the run directory; leave run_dir out")
         was = OmegaConf.select(values, f"{key}.name" if key in GROUPS else key)
-        if key == "env" and override.value() == "envpool":
+        if key == "env" and override.value() in BY_ID:
+            continue
+        if key == "algo" and override.value() == "module" and stored.algo.module is not None:
             continue
         if was != override.value():
             raise ConfigError(f"resume: the run has {key}={was}, not {override.value()}")
@@ -193,8 +240,14 @@ def validated(config: Any) -> Config:
             raise ConfigError("algo.eta: algo=ppo has no intrinsic reward to scale")
         if config.ppo.ext_weight == 0:
             raise ConfigError("ppo.ext_weight=0 leaves algo=ppo nothing to learn from; take an SND")
+    elif config.ppo.published_mask:
+        raise ConfigError("ppo.published_mask repeats the published baseline: algo=ppo alone")
     elif config.ppo.ext_weight == config.ppo.int_weight == 0:
         raise ConfigError("ppo.ext_weight and ppo.int_weight are both 0: nothing to learn from")
+    if config.algo.pairing != "asymmetric" and config.algo.signal not in COPYING:
+        raise ConfigError(f"algo.pairing: algo={config.algo.name} has no network that copies")
+    if config.algo.gradient != "symmetric" and config.algo.signal != "prediction":
+        raise ConfigError(f"algo.gradient: algo={config.algo.name} has no forward loss")
     if config.seed + config.num_seeds > 2**31:
         raise ConfigError(f"seed={config.seed}: the last seed must be below 2**31")
     return config

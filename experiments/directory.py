@@ -76,7 +76,7 @@ class Directory:
 
 def fresh(config: Config) -> Path:
     """runs/<env>/<algo>/<time>-<id>"""
-    name = config.env.name.replace("/", "-")
+    name = config.env.name.replace("/", "-").replace(":", "-")
     stamp = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
     return Path("runs") / name / config.algo.name / stamp
 

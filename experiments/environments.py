@@ -1,10 +1,11 @@
 """One pool of envpool environments for all seeds of a run, read as frames."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from experiments.catalogue import envpool, family_of, gym
+from experiments.config import unknown
 from experiments.options import ConfigError, EnvConfig
 
 UNBOUNDED = 1e6  # a bound beyond this is none
@@ -96,24 +97,74 @@ class Vectors:
 class Pool:
     """S x N environments of one task, stepped together.
 
+    A reset takes a step of its own, in which the action is ignored: that row is not valid.
+
     Attributes:
       num_actions: A.
       shape, dtype: of one frame: uint8 [H, W, C] or float32 [D].
       unbounded: which components of a vector have no bounds.
+      rooms: whether steps tell the room of Montezuma's Revenge.
     """
 
+    rooms = False
+
+    def __init__(self, config: EnvConfig, seeds: int, num_envs: int, space: Any, actions: Any):
+        """Take in the spaces of one environment."""
+        if not isinstance(actions, gym.spaces.Discrete):
+            raise ConfigError(
+                f"env.id={config.id} has {type(actions).__name__} actions; "
+                "only tasks with discrete actions can be trained on"
+            )
+        self.config = config
+        self.rows = (seeds, num_envs)
+        image = (
+            isinstance(space, gym.spaces.Box)
+            and space.dtype == np.uint8
+            and len(space.shape) == 3
+            and sorted(space.shape)[1] >= 32
+        )
+        self.reader = Images(space) if image else Vectors(space)
+        self.shape, self.dtype = self.reader.shape, self.reader.dtype
+        self.unbounded = self.reader.unbounded
+        self.num_actions = int(actions.n)
+
+    def split(self, x: np.ndarray) -> np.ndarray:
+        """From [S * N, ...] to [S, N, ...]."""
+        return x.reshape(*self.rows, *x.shape[1:])
+
+    def step_of(self, observation, reward, score, terminated, truncated, valid, room=None) -> Step:
+        """A step from what all environments returned, [S * N, ...] each."""
+        if self.config.reward == "sign":
+            reward = np.maximum(0, np.sign(reward))
+        elif self.config.reward == "goal":
+            reward = terminated & ~truncated
+        return Step(
+            self.split(self.reader.read(observation)),
+            self.split(np.asarray(reward, np.float32)),
+            self.split(np.asarray(score, np.float32)),
+            self.split(terminated | truncated),
+            self.split(truncated),
+            self.split(valid),
+            None if room is None else self.split(room),
+        )
+
+    def reset(self) -> np.ndarray:
+        """The first frame of every environment, [S, N, *frame]."""
+        raise NotImplementedError
+
+    def step(self, action: np.ndarray) -> Step:
+        """Step every environment with its action, int [S, N]."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Stop the environments."""
+        raise NotImplementedError
+
+
+class EnvpoolPool(Pool):
+    """Environments of envpool, in its own threads."""
+
     def __init__(self, config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0):
-        """Make the environments.
-
-        Args:
-          config: the task and how it is read.
-          seeds: one per agent.
-          num_envs: environments of each.
-          start: the iteration the run starts at.
-
-        Raises:
-          ConfigError: envpool cannot make this task with these options.
-        """
         family_of(config.id)
         try:
             self.envs = envpool.make(
@@ -126,27 +177,11 @@ class Pool:
         except Exception as error:  # envpool raises many kinds; all are about its input
             message = str(error).strip().splitlines() or [repr(error)]
             raise ConfigError(f"envpool cannot make {config.id}: {message[0]}") from None
-        self.config = config
-        self.rows = (len(seeds), num_envs)
-        space = self.envs.observation_space
-        image = (
-            isinstance(space, gym.spaces.Box)
-            and space.dtype == np.uint8
-            and len(space.shape) == 3
-            and sorted(space.shape)[1] >= 32
-        )
-        self.reader = Images(space) if image else Vectors(space)
-        self.shape, self.dtype = self.reader.shape, self.reader.dtype
-        self.unbounded = self.reader.unbounded
-        self.num_actions = int(self.envs.action_space.n)
+        space, actions = self.envs.observation_space, self.envs.action_space
+        super().__init__(config, len(seeds), num_envs, space, actions)
         self.rooms = config.id.startswith("MontezumaRevenge")
 
-    def split(self, x: np.ndarray) -> np.ndarray:
-        """From [S * N, ...] to [S, N, ...]."""
-        return x.reshape(*self.rows, *x.shape[1:])
-
     def reset(self) -> np.ndarray:
-        """The first frame of every environment, [S, N, *frame]."""
         observation, _ = self.envs.reset()
         frame = self.reader.read(observation)
         if len(frame) != self.rows[0] * self.rows[1]:
@@ -154,25 +189,68 @@ class Pool:
         return self.split(frame)
 
     def step(self, action: np.ndarray) -> Step:
-        """Step every environment with its action, int [S, N]."""
         observation, reward, terminated, truncated, info = self.envs.step(
             np.asarray(action, np.int32).reshape(-1)
         )
-        score = np.asarray(info.get("reward", reward), np.float32)
-        if self.config.reward == "sign":
-            reward = np.maximum(0, np.sign(reward))
-        elif self.config.reward == "goal":
-            reward = terminated & ~truncated
-        return Step(
-            self.split(self.reader.read(observation)),
-            self.split(np.asarray(reward, np.float32)),
-            self.split(score),
-            self.split(terminated | truncated),
-            self.split(truncated),
-            self.split(info["elapsed_step"] != 0),
-            self.split(info["ram"][:, MONTEZUMA_ROOM]) if self.rooms else None,
-        )
+        room = info["ram"][:, MONTEZUMA_ROOM] if self.rooms else None
+        score, valid = info.get("reward", reward), info["elapsed_step"] != 0
+        return self.step_of(observation, reward, score, terminated, truncated, valid, room)
 
     def close(self) -> None:
-        """Stop the environments' threads."""
         self.envs.close()
+
+
+class GymnasiumPool(Pool):
+    """Environments of `gymnasium.make_vec`, the user's own among them."""
+
+    def __init__(self, config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0):
+        count = len(seeds) * num_envs
+        try:
+            self.envs = gym.make_vec(config.id, num_envs=count, **config.options)
+        except gym.error.NameNotFound:
+            known = [*gym.registry, config.id.partition(":")[0]]
+            raise unknown("gymnasium task", config.id, known) from None
+        except Exception as error:  # a user's environment may raise anything
+            message = str(error).strip().splitlines() or [repr(error)]
+            raise ConfigError(f"gymnasium cannot make {config.id}: {message[0]}") from None
+        mode = self.envs.metadata.get("autoreset_mode")
+        if mode != gym.vector.AutoresetMode.NEXT_STEP:
+            raise ConfigError(
+                f"{config.id} resets in mode {mode}; only AutoresetMode.NEXT_STEP keeps an "
+                "episode's last observation"
+            )
+        space, actions = self.envs.single_observation_space, self.envs.single_action_space
+        super().__init__(config, len(seeds), num_envs, space, actions)
+        self.first_action = int(getattr(actions, "start", 0))
+        self.seeds = [s for seed in seeds for s in seeds_of(seed, num_envs, start)]
+        self.ended = np.zeros(count, bool)
+
+    def reset(self) -> np.ndarray:
+        observation, _ = self.envs.reset(seed=cast(Any, self.seeds))
+        self.ended[:] = False
+        return self.split(self.reader.read(observation))
+
+    def step(self, action: np.ndarray) -> Step:
+        action = np.asarray(action, np.int64).reshape(-1) + self.first_action
+        observation, reward, terminated, truncated, _ = self.envs.step(action)
+        valid, self.ended = ~self.ended, terminated | truncated
+        return self.step_of(observation, reward, reward, terminated, truncated, valid)
+
+    def close(self) -> None:
+        self.envs.close()
+
+
+def make_pool(config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0) -> Pool:
+    """The environments of a configuration.
+
+    Args:
+      config: the task and how it is read.
+      seeds: one per agent.
+      num_envs: environments of each.
+      start: the iteration the run starts at.
+
+    Raises:
+      ConfigError: this task cannot be made with these options, or not be trained on.
+    """
+    kind = EnvpoolPool if config.suite == "envpool" else GymnasiumPool
+    return kind(config, seeds, num_envs, start)

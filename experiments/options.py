@@ -5,6 +5,29 @@ from typing import Any
 
 from omegaconf import MISSING
 
+# The names of the grid, as `sndjax.grid` has them; here too, since it imports jax.
+OBJECTIVES = (
+    "none",
+    "contrastive",
+    "st_dim",
+    "vicreg",
+    "vicreg_inverse",
+    "inverse_dynamics",
+    "barlow_twins",
+    "byol",
+)
+SIGNALS = (
+    "distillation",
+    "prediction",
+    "disagreement",
+    "re3",
+    "simhash",
+    "noveld",
+    "e3b",
+    "ngu",
+)
+COPYING = ("distillation", "noveld", "ngu")  # signals with a learned network
+
 
 class ConfigError(ValueError):
     """Bad input, in one line that says what to do."""
@@ -21,7 +44,8 @@ def option(default: Any, about: str, *, low=None, high=None, above=None, choices
 @dataclass(frozen=True)
 class EnvConfig:
     name: str = option(MISSING, "what results are filed under")
-    id: str = option(MISSING, "the envpool task, e.g. Pong-v5 (with env=envpool)")
+    id: str = option(MISSING, "the task, e.g. Pong-v5 (with env=envpool or env=gymnasium)")
+    suite: str = option("envpool", "who makes the task", choices=("envpool", "gymnasium"))
     stack: int = option(1, "newest frames that the policy sees", low=1, high=16)
     repeat_first: bool = option(
         True, "an episode's first stack repeats its first frame, else zeros"
@@ -37,7 +61,7 @@ class EnvConfig:
     total_steps: int = option(1_000_000, "the default of total_steps", low=1)
     baseline_gamma: float = option(0.99, "external discount of algo=ppo", low=0, high=1)
     eta: dict[str, float] = option({}, "published intrinsic scale of each algorithm")
-    options: dict[str, Any] = option({}, "passed to envpool, e.g. env.options.frame_skip=4")
+    options: dict[str, Any] = option({}, "passed to its maker, e.g. env.options.frame_skip=4")
 
 
 @dataclass(frozen=True)
@@ -56,8 +80,23 @@ class AlgoConfig:
         "none", "frames before the module", choices=("none", "mean", "standardize")
     )
     activation: str = option(
-        "elu", "of the module; published: ReLU convolutions", choices=("elu", "published")
+        "elu",
+        "of the module; published: what each method's experiments ran, mostly ReLU convolutions",
+        choices=("elu", "relu", "published"),
     )
+    pairing: str = option(
+        "asymmetric",
+        "of target and learned network, where one copies the other (Fig. 5.4)",
+        choices=("asymmetric", "one_linear", "two_linear", "relu"),
+    )
+    gradient: str = option(
+        "symmetric",
+        "of the forward loss into the encoder, with signal prediction: all, not s_t+1's, or none",
+        choices=("symmetric", "detached", "asymmetric"),
+    )
+    objective: str = option("none", "what shapes the encoder (algo=grid)", choices=OBJECTIVES)
+    signal: str = option("distillation", "what is read off it (algo=grid)", choices=SIGNALS)
+    module: str | None = option(None, "a bonus of your own, FILE.py:FUNCTION")
 
 
 @dataclass(frozen=True)
@@ -77,6 +116,7 @@ class PPOConfig:
     normalize_advantages: bool = option(False, "to mean 0 and deviation 1 over a rollout")
     bootstrap_truncated: bool = option(False, "value the last state of an episode cut by a limit")
     episodic_int: bool = option(True, "intrinsic returns end with the episode")
+    published_mask: bool = option(False, "algo=ppo: the inverted mask of the published baseline")
 
 
 @dataclass(frozen=True)

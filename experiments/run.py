@@ -4,11 +4,13 @@ Only the configuration is read before anything heavy is imported, so that bad in
 refused in a moment.
 """
 
+import os
 import sys
 import warnings
 
 from experiments.config import help_text, load
 from experiments.directory import Directory
+from experiments.interrupts import Interrupted
 from experiments.options import ConfigError
 from experiments.process import before_jax
 
@@ -19,13 +21,28 @@ def refuse(error: object) -> int:
     return 2
 
 
+def interrupted(directory: Directory | None, status: int) -> int:
+    """Say how to go on."""
+    where = f"; go on with resume={directory.path}" if directory else ""
+    print(f"\nsndjax: interrupted{where}", file=sys.stderr)
+    return status
+
+
 def console() -> None:
     """The `sndjax` script."""
-    sys.exit(main())
+    status = main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if status > 128:
+        os._exit(status)  # an update that was broken off may have minutes to go: do not wait
+    sys.exit(status)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command; returns its exit status (0 done, 2 bad input, 130 interrupted)."""
+    """The command; returns its exit status.
+
+    0 done, 2 bad input, 130 and 143 stopped by SIGINT and SIGTERM.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     if any(argument in ("-h", "--help", "help") for argument in arguments):
         print(help_text())
@@ -45,10 +62,10 @@ def main(arguments: list[str] | None = None) -> int:
         return refuse(error)
     except OSError as error:
         return refuse(f"cannot write the run: {error}")
-    except KeyboardInterrupt:
-        where = f"; go on with resume={directory.path}" if directory else ""
-        print(f"\nsndjax: interrupted{where}", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt:  # before the first iteration
+        return interrupted(directory, 130)
+    except Interrupted as stopped:
+        return interrupted(directory, stopped.status)
     return 0
 
 

@@ -16,10 +16,12 @@ import sndjax
 from experiments.checkpoint import Checkpoints
 from experiments.collect import Collector
 from experiments.directory import Directory
-from experiments.environments import Pool
+from experiments.environments import Pool, make_pool
 from experiments.episodes import Episodes
 from experiments.estimate import seconds
-from experiments.options import Config
+from experiments.extension import load_module
+from experiments.interrupts import Interrupts
+from experiments.options import COPYING, AlgoConfig, Config, ConfigError
 from experiments.process import return_freed_memory
 from experiments.progress import Progress, clock
 from experiments.records import Records
@@ -37,26 +39,43 @@ def keep_compilations() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
+def motivation_of(algo: AlgoConfig, num_actions: int, size: sndjax.Architecture) -> Any:
+    """The motivation of a configuration, or None for the baseline.
+
+    Raises:
+      ConfigError: this cell refuses this environment, or the user's module is none.
+    """
+    own: dict[str, Any] = {"preprocess": algo.preprocess, "activation": algo.activation}
+    if algo.signal in COPYING:
+        own["pairing"] = algo.pairing
+    if algo.signal == "prediction":
+        own["gradient"] = algo.gradient
+    if algo.name == "ppo":
+        return None
+    if algo.module is not None:
+        make = partial(load_module, algo.module)
+        own = {}
+    elif algo.name == "grid":
+        make = partial(sndjax.grid, algo.objective, algo.signal)
+    else:
+        make = cast(Any, NAMED[algo.name])
+    return sndjax.Motivation(
+        make(num_actions, size, **own),
+        algo.eta,
+        cast(Any, algo.reward_scale),  # one of the choices: it was validated
+        algo.learning_rate,
+        algo.minibatch_size,
+        algo.shuffle,
+    )
+
+
 def build(config: Config, pool: Pool) -> sndjax.Agent:
     """The agent of a configuration for the frames and actions of a pool."""
     if pool.dtype != np.uint8:
         size = sndjax.VECTOR
     else:
         size = sndjax.ATARI if pool.shape[-1] == 1 else sndjax.PROCGEN
-    make, algo = NAMED[config.algo.name], config.algo
-    motivation = None
-    if make is not None:
-        module = make(
-            pool.num_actions, size, preprocess=algo.preprocess, activation=algo.activation
-        )
-        motivation = sndjax.Motivation(
-            module,
-            algo.eta,
-            cast(Any, algo.reward_scale),  # one of the choices: it was validated
-            algo.learning_rate,
-            algo.minibatch_size,
-            algo.shuffle,
-        )
+    motivation = motivation_of(config.algo, pool.num_actions, size)
     return sndjax.Agent(
         sndjax.ActorCritic(size, pool.num_actions, 2 if motivation else 1),
         sndjax.Hyperparameters(**asdict(config.ppo)),
@@ -112,10 +131,14 @@ class Run:
         count = config.num_seeds
         self.checkpoints = Checkpoints(directory.path)
         start = (self.checkpoints.manager.latest_step() or 0) if directory.resumed else 0
-        self.pool = Pool(config.env, self.seeds, config.num_envs, start)
+        self.pool = make_pool(config.env, self.seeds, config.num_envs, start)
         self.agent = build(config, self.pool)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
         self.fresh = lambda: first_states(self.agent, self.seeds, example)
+        try:
+            jax.eval_shape(partial(sndjax.init, self.agent), jax.random.key(0), example)
+        except ValueError as error:  # an objective that this environment has nothing for
+            raise ConfigError(f"algo={config.algo.name}: {error}") from None
         self.act = jax.jit(over_seeds(partial(sndjax.act, self.agent), count, shared=1))
         self.train_step = jax.jit(
             over_seeds(sndjax.make_train_step(self.agent), count), donate_argnums=0
@@ -136,7 +159,8 @@ class Run:
         progress = Progress(title, total, self.start * rows)
         try:
             if self.start < config.iterations:
-                self.iterations(records, progress)
+                with Interrupts() as interrupts:
+                    self.iterations(records, progress, interrupts)
             records.summarize(total)
             progress.say(f"finished: {path}")
         finally:
@@ -145,7 +169,7 @@ class Run:
             self.checkpoints.close()
             self.pool.close()
 
-    def iterations(self, records: Records, progress: Progress) -> None:
+    def iterations(self, records: Records, progress: Progress, interrupts: Interrupts) -> None:
         """From the iteration the run stands at to its last."""
         config, rows = self.config, self.config.rows
         if self.start:
@@ -158,12 +182,16 @@ class Run:
         update, expected = None, None
         skip = int(config.env.options.get("frame_skip", 1))
         saved = time.monotonic()
+
+        def stepped(step: int) -> None:
+            interrupts.check()
+            progress.within(step / config.rollout_length)
+
         for iteration in range(self.start, config.iterations):
             begun = time.monotonic()
             progress.phase("collecting")
             batch, track = collector.collect(
-                sndjax.Actor(state.policy, state.observations, state.key),
-                lambda step: progress.within(step / config.rollout_length),
+                sndjax.Actor(state.policy, state.observations, state.key), stepped
             )
             collected = time.monotonic()
             if update is None:
@@ -178,7 +206,8 @@ class Run:
                 )
             progress.phase("learning", expected)
             learning = time.monotonic()
-            state, metrics, int_reward = jax.block_until_ready(update(state, batch))
+            with interrupts.waiting():
+                state, metrics, int_reward = jax.block_until_ready(update(state, batch))
             expected = time.monotonic() - learning
             gone = time.monotonic() - begun
             records.wall_seconds += gone

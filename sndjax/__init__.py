@@ -6,17 +6,47 @@
 >>> params, state = module.init(jax.random.key(0), jnp.zeros((1, 2)))
 """
 
-from sndjax.algorithms import rnd, snd_std, snd_vic
-from sndjax.networks import ATARI, PROCGEN, VECTOR, ActorCritic, Architecture, Encoder
+from sndjax.acting import Actor, Agent, Decision, Motivation, act
+from sndjax.algorithms import (
+    icm,
+    qrnd,
+    rnd,
+    snd_barlow,
+    snd_byol,
+    snd_std,
+    snd_v,
+    snd_vic,
+    snd_vinv,
+    sp,
+    sp_vic,
+    sp_vinv,
+)
+from sndjax.grid import Recipe, cell, grid
+from sndjax.module import compose
+from sndjax.networks import ATARI, PROCGEN, VECTOR, ActorCritic, Architecture, Encoder, Perceptron
+from sndjax.objectives.barlow_twins import barlow_twins, barlow_twins_loss
+from sndjax.objectives.byol import byol, byol_distance
+from sndjax.objectives.contrastive import contrastive, contrastive_loss
+from sndjax.objectives.inverse_dynamics import inverse_dynamics, inverse_dynamics_loss
 from sndjax.objectives.st_dim import st_dim, st_dim_loss
 from sndjax.objectives.vicreg import vicreg, vicreg_loss
+from sndjax.objectives.weighted_sum import weighted_sum
 from sndjax.ppo import Hyperparameters, clipped_surrogate
 from sndjax.returns import generalized_advantage
 from sndjax.rollout import Stack, transitions
 from sndjax.scaling import scale_reward
+from sndjax.signals.disagreement import disagreement, ensemble_variance
 from sndjax.signals.distillation import distillation, distillation_error, distillation_loss
-from sndjax.train import Actor, Agent, Decision, Motivation, act, init, make_train_step
+from sndjax.signals.e3b import e3b, elliptical_bonus
+from sndjax.signals.ngu import ngu
+from sndjax.signals.noveld import noveld, noveld_reward
+from sndjax.signals.prediction import prediction, prediction_error, prediction_loss
+from sndjax.signals.re3 import neighbour_distance, re3
+from sndjax.signals.simhash import simhash
+from sndjax.statistics import masked_mean
+from sndjax.train import init, make_train_step
 from sndjax.types import (
+    Average,
     Experience,
     Features,
     IntrinsicModule,
@@ -24,8 +54,10 @@ from sndjax.types import (
     Objective,
     ReturnScale,
     Rollout,
+    Signal,
     TrainState,
     Transition,
+    View,
 )
 from sndjax.version import __version__
 
@@ -37,6 +69,7 @@ __all__ = [
     "ActorCritic",
     "Agent",
     "Architecture",
+    "Average",
     "Decision",
     "Encoder",
     "Experience",
@@ -46,27 +79,66 @@ __all__ = [
     "Moments",
     "Motivation",
     "Objective",
+    "Perceptron",
+    "Recipe",
     "ReturnScale",
     "Rollout",
+    "Signal",
     "Stack",
     "TrainState",
     "Transition",
+    "View",
     "__version__",
     "act",
+    "barlow_twins",
+    "barlow_twins_loss",
+    "byol",
+    "byol_distance",
+    "cell",
     "clipped_surrogate",
+    "compose",
+    "contrastive",
+    "contrastive_loss",
+    "disagreement",
     "distillation",
     "distillation_error",
     "distillation_loss",
+    "e3b",
+    "elliptical_bonus",
+    "ensemble_variance",
     "generalized_advantage",
+    "grid",
+    "icm",
     "init",
+    "inverse_dynamics",
+    "inverse_dynamics_loss",
     "make_train_step",
+    "masked_mean",
+    "neighbour_distance",
+    "ngu",
+    "noveld",
+    "noveld_reward",
+    "prediction",
+    "prediction_error",
+    "prediction_loss",
+    "qrnd",
+    "re3",
     "rnd",
     "scale_reward",
+    "simhash",
+    "snd_barlow",
+    "snd_byol",
     "snd_std",
+    "snd_v",
     "snd_vic",
+    "snd_vinv",
+    "sp",
+    "sp_vic",
+    "sp_vinv",
     "st_dim",
     "st_dim_loss",
     "transitions",
     "vicreg",
     "vicreg_loss",
+    "weighted_sum",
 ]

@@ -130,7 +130,7 @@ def convolve_patches(x, kernel, bias, stride, padding, activation):
 def convolve_native(x, kernel, bias, stride, padding, activation):
     """`convolve` as XLA's own operation."""
     y = lax.conv_general_dilated(
-        to_float(x),
+        to_float(x).astype(kernel.dtype),
         kernel,
         (stride, stride),
         ((padding, padding), (padding, padding)),

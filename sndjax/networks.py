@@ -10,7 +10,7 @@ from typing import NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 
 from sndjax.convolution import ACTIVATIONS, Activation, convolve, to_float
 
@@ -36,6 +36,7 @@ class Architecture(NamedTuple):
     last: int = 128  # the fourth, of the policy's torso and of targets
     last_learned: int = 128  # the fourth, of learned networks on a VICReg target
     rnd_channels: tuple[int, ...] = (32, 64, 64)
+    snd_v_channels: tuple[int, ...] = (16, 32, 64)
     features: int = 512  # d, and the width of every linear layer
     hidden: tuple[int, ...] = (64, 64)
 
@@ -44,6 +45,11 @@ class Architecture(NamedTuple):
         if not self.channels:
             return ()
         return (*(Convolution(c, stride=2) for c in self.channels), Convolution(last))
+
+    def snd_v_convolutions(self) -> tuple[Convolution, ...]:
+        """SND-V's: as `convolutions` with fewer channels, and the last as many as the third."""
+        narrow = self._replace(channels=self.snd_v_channels if self.channels else ())
+        return narrow.convolutions(self.snd_v_channels[-1])
 
     def rnd_convolutions(self) -> tuple[Convolution, ...]:
         """The convolutions of Random Network Distillation."""
@@ -96,7 +102,9 @@ class Torso(nn.Module):
 class Encoder(nn.Module):
     """A torso, a linear layer to d features, and `extra` further ones.
 
-    Maps frames `[B, *frame]` to `(z float32[B, d], local float32[B, I, J, C])`.
+    Maps frames `[B, *frame]` to `(z float32[B, d], local float32[B, I, J, C])`. With
+    `num_actions` an action `[B]` is part of the input: one-hot, it joins the flattened
+    features before the first linear layer.
     """
 
     convolutions: Sequence[Convolution]
@@ -106,16 +114,35 @@ class Encoder(nn.Module):
     extra: int = 0
     activation: Activation = "elu"  # after convolutions and hidden layers
     extra_activation: Activation = "elu"  # between the linear layers
+    num_actions: int = 0
 
     @nn.compact
     def __call__(
-        self, frames: Shaped[Array, "B *frame"]
+        self, frames: Shaped[Array, "B *frame"], action: Int[Array, " B"] | None = None
     ) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
         x, local = Torso(self.convolutions, self.hidden, self.gain, self.activation)(frames)
+        if self.num_actions:
+            assert action is not None, "this encoder takes the action in"
+            x = jnp.concatenate([x, jax.nn.one_hot(action, self.num_actions, dtype=x.dtype)], -1)
         z = linear(self.features, self.gain)(x)
         for _ in range(self.extra):
             z = linear(self.features, self.gain)(ACTIVATIONS[self.extra_activation](z))
         return z, local
+
+
+class Perceptron(nn.Module):
+    """Linear layers of the given widths, gain sqrt(2), with a ReLU between them.
+
+    The forward model, the inverse model and BYOL's heads: `[B, n]` to `[B, widths[-1]]`.
+    """
+
+    widths: Sequence[int]
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "B n"]) -> Float[Array, "B m"]:
+        for width in self.widths[:-1]:
+            x = jax.nn.relu(linear(width, ROOT_2)(x))
+        return linear(self.widths[-1], ROOT_2)(x)
 
 
 class ActorCritic(nn.Module):

@@ -29,6 +29,7 @@ class Hyperparameters(NamedTuple):
     normalize_advantages: bool = False
     bootstrap_truncated: bool = False
     episodic_int: bool = True
+    published_mask: bool = False  # the published baseline's: done where not-done belongs
 
 
 def log_prob(logits: Float[Array, "B A"], action: Int[Array, " B"]) -> Float[Array, " B"]:

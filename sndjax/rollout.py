@@ -1,11 +1,12 @@
 """Reading a rollout: minibatches of rows, stacks of frames, slices of time."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Int, Shaped
 
 from sndjax.statistics import expand
 from sndjax.types import Experience, Rollout, Transition
@@ -105,14 +106,15 @@ def stacker(batch: Experience, stack: Stack) -> Callable[[Int[Array, " B"]], Arr
     return stacks
 
 
-def map_steps(
-    function: Callable[[Shaped[Array, "M *frame"]], Float[Array, " M"]],
-    frames: Shaped[Array, "T N *frame"],
-) -> Float[Array, "T N"]:
-    """Apply a function of a batch of frames to all of `frames[T, N]`, some time steps at once."""
-    steps, envs = frames.shape[:2]
+def map_steps(function: Callable[..., Any], *arrays: Shaped[Array, "T N ..."]) -> Any:
+    """Apply a function of batches `[M, ...]` to all of `[T, N, ...]`, some time steps at once.
+
+    The result's leaves, `[M, ...]` of the function, become `[T, N, ...]`.
+    """
+    steps, envs = arrays[0].shape[:2]
     together = max(
         g for g in range(1, steps + 1) if steps % g == 0 and (g == 1 or g * envs <= SLICE)
     )
-    slices = frames.reshape(steps // together, together * envs, *frames.shape[2:])
-    return lax.map(function, slices).reshape(steps, envs)
+    cut = lambda x: x.reshape(steps // together, together * envs, *x.shape[2:])
+    values = lax.map(lambda parts: function(*parts), tuple(map(cut, arrays)))
+    return jax.tree.map(lambda x: x.reshape(steps, envs, *x.shape[2:]), values)

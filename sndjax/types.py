@@ -62,7 +62,26 @@ class Features(NamedTuple):
     local_next: Float[Array, "B I J C"]
 
 
-Encode = Callable[[Shaped[Array, "B *frame"]], tuple[Float[Array, "B d"], Float[Array, "B I J C"]]]
+Encode = Callable[..., tuple[Float[Array, "B d"], Float[Array, "B I J C"]]]
+
+
+class View(NamedTuple):
+    """How a module sees frames, with the encoder's weights of the moment.
+
+    prepare: frames[B, *frame] -> what networks read (section 5.2.2)
+    encode:  (frames[B, *frame], action=None) -> (z[B, d], local[B, I, J, C]), prepared inside;
+             the action is for encoders that take it in
+    """
+
+    prepare: Callable[[Shaped[Array, "B *frame"]], Shaped[Array, "B *frame"]]
+    encode: Encode
+
+
+class Average(NamedTuple):
+    """The slow copy of an objective and of its encoder: moving averages of their weights."""
+
+    params: Params
+    encode: Encode
 
 
 class Objective(NamedTuple):
@@ -71,14 +90,38 @@ class Objective(NamedTuple):
     init: (key, features, num_actions) -> params
     loss: (params, encode, features, batch, rollout, key) -> (scalar, metrics)
 
-    `encode` maps further frames through the encoder that made `features`.
+    `encode` maps further frames through the encoder that made `features`. `pairs` is False
+    where the loss does not read the features of s_t+1. With a `decay` the module keeps an
+    `Average` (slow = decay * slow + (1 - decay) * now after each optimizer step), and the
+    loss gets it as `average=`.
     """
 
     init: Callable[[PRNGKeyArray, Features, int], Params]
+    loss: Callable[..., tuple[Float[Array, ""], Metrics]]
+    pairs: bool = True
+    decay: float | None = None
+
+
+class Signal(NamedTuple):
+    """A novelty signal that is read off an encoder. All of it is pure.
+
+    init:   (key, example[N, *frame], features, num_actions) -> (params, state)
+    reward: (params, state, view, rollout, key) -> (float32[T, N], state); what it gives on
+            reset rows does not matter, what it keeps of them does
+    loss:   (params, state, view, features, batch, key) -> (scalar, metrics)
+
+    `pairs` is True where the loss reads the features of s_t+1.
+    """
+
+    init: Callable[[PRNGKeyArray, Shaped[Array, "N *frame"], Features, int], tuple[Params, State]]
+    reward: Callable[
+        [Params, State, View, Rollout, PRNGKeyArray], tuple[Float[Array, "T N"], State]
+    ]
     loss: Callable[
-        [Params, Encode, Features, Transition, Rollout, PRNGKeyArray],
+        [Params, State, View, Features, Transition, PRNGKeyArray],
         tuple[Float[Array, ""], Metrics],
     ]
+    pairs: bool = False
 
 
 class IntrinsicModule(NamedTuple):

@@ -17,3 +17,13 @@ def forget_compilations():
     """Programs compiled for one file are let go with it: a process can map only so many."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture(scope="module")
+def native_convolutions():
+    """They compile in half the time; test_convolution.py holds both lowerings equal."""
+    from sndjax import convolution
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(convolution, "convolve_patches", convolution.convolve_native)
+        yield

@@ -1,155 +1,149 @@
-"""One suite over every named algorithm and every kind of input."""
-
-import functools
+"""The named algorithms: which cell each is, and what is its own about it."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 from builders import KINDS, rollout
 
-from sndjax import IntrinsicModule, transitions
+import sndjax
+from sndjax import transitions
 from sndjax.algorithms import NAMED
+from sndjax.grid import OBJECTIVES, cell
 
 MODULES = {name: make for name, make in NAMED.items() if make is not None}
-pytestmark = [
-    pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name),
-    pytest.mark.parametrize("name", MODULES),
-]
+pytestmark = pytest.mark.usefixtures("native_convolutions")
+VECTOR = KINDS[2]
+CELLS = {
+    "snd_v": ("contrastive", "distillation"),
+    "snd_std": ("st_dim", "distillation"),
+    "snd_vic": ("vicreg", "distillation"),
+    "snd_vinv": ("vicreg_inverse", "distillation"),
+    "snd_barlow": ("barlow_twins", "distillation"),
+    "snd_byol": ("byol", "distillation"),
+    "sp_vic": ("vicreg", "prediction"),
+    "sp_vinv": ("vicreg_inverse", "prediction"),
+}
 
 
-@functools.cache
-def made(name, kind, activation="elu", preprocess=None):
-    """A module whose functions are jitted, with its params, its state and a rollout."""
-    options = {"activation": activation} | ({"preprocess": preprocess} if preprocess else {})
-    module = MODULES[name](kind.actions, kind.size, **options)
-    batch = rollout(kind, np.random.default_rng(0))
+def start(module, batch):
     params, state = jax.jit(module.init)(jax.random.key(0), batch.frames[0])
-    return IntrinsicModule(*map(jax.jit, module)), params, state, batch
+    rows = transitions(batch, jnp.arange(batch.action.size))
+    return params, state, (rows, batch, jax.random.key(2))
 
 
-def all_rows(batch):
-    return transitions(batch, jnp.arange(batch.action.size))
+def value(module, batch):
+    params, state, arguments = start(module, batch)
+    return jax.jit(module.loss)(params, state, *arguments)
 
 
-def test_reward_and_loss_have_their_shapes_and_are_finite(name, kind):
-    module, params, state, batch = made(name, kind)
-    reward, after = module.reward(params, state, batch, jax.random.key(1))
-    assert reward.shape == batch.action.shape
-    assert reward.dtype == jnp.float32
-    assert np.all(np.asarray(reward) >= 0)
-    assert np.all(np.asarray(reward)[np.asarray(batch.valid)] > 0)
-    assert np.all(np.asarray(reward)[~np.asarray(batch.valid)] == 0)
-    assert jax.tree.structure(after) == jax.tree.structure(state)
-    loss, metrics = module.loss(params, state, all_rows(batch), batch, jax.random.key(2))
-    assert loss.shape == ()
-    for value in (loss, *metrics.values()):
-        assert np.isfinite(value)
+def test_there_are_the_thirteen_of_the_thesis():
+    assert set(NAMED) == {
+        "ppo", "rnd", "snd_v", "snd_std", "snd_vic", "snd_vinv", "icm", "sp",
+        "sp_vic", "sp_vinv", "snd_barlow", "snd_byol", "qrnd",
+    }  # fmt: skip
+    for name, make in MODULES.items():
+        assert getattr(sndjax, name) is make
 
 
-def test_jit_and_vmap_agree_with_neither(name, kind):
-    module, params, state, batch = made(name, kind)
-    rows, key = all_rows(batch), jax.random.key(2)
-    jitted = module.loss(params, state, rows, batch, key)[0]
-    plain = MODULES[name](kind.actions, kind.size).loss(params, state, rows, batch, key)[0]
-    np.testing.assert_allclose(jitted, plain, rtol=1e-4)
-    two = lambda tree: jax.tree.map(lambda x: jnp.stack([x, x]), tree)
-    mapped = jax.vmap(module.loss)(*map(two, (params, state, rows, batch, key)))[0]
-    np.testing.assert_allclose(mapped, [plain, plain], rtol=1e-4)
-    reward = module.reward(params, state, batch, key)[0]
-    mapped = jax.vmap(module.reward)(*map(two, (params, state, batch, key)))[0]
-    np.testing.assert_allclose(mapped, [reward, reward], rtol=1e-3, atol=1e-7)
+@pytest.mark.parametrize("name", CELLS)
+def test_a_name_is_a_cell_of_the_grid(name):
+    batch = rollout(VECTOR, np.random.default_rng(0))
+    named = value(MODULES[name](VECTOR.actions, VECTOR.size), batch)
+    same = value(sndjax.grid(*CELLS[name], VECTOR.actions, VECTOR.size), batch)
+    jax.tree.map(np.testing.assert_array_equal, named, same)
 
 
-def test_invalid_rows_full_of_garbage_change_nothing(name, kind):
-    """Rows of a minibatch: neither the value nor any gradient sees what is not valid."""
-    module, params, state, batch = made(name, kind)
-    rows, key = all_rows(batch), jax.random.key(2)
-    assert not np.all(rows.valid)
-    bad = lambda x: jnp.where(
-        rows.valid.reshape((-1,) + (1,) * (x.ndim - 1)),
-        x,
-        jnp.asarray(jnp.nan if jnp.issubdtype(x.dtype, jnp.floating) else 77, x.dtype),
+def test_rnd_subtracts_the_mean_reads_half_a_sum_and_keeps_a_quarter():
+    batch = rollout(VECTOR, np.random.default_rng(0))
+    module = MODULES["rnd"](VECTOR.actions, VECTOR.size)
+    params, state, _ = start(module, batch)
+    assert state["moments"] is not None
+    assert set(params) == {"signal"}  # the target is no parameter: no optimizer sees it
+    reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
+    mean = OBJECTIVES["none"]._replace(distillation={"reading": "mean"})
+    plain = cell(mean, "distillation", VECTOR.actions, VECTOR.size, preprocess="mean")
+    other, _ = jax.jit(plain.reward)(params, state, batch, jax.random.key(1))
+    np.testing.assert_allclose(reward, other * 16 / 2, rtol=1e-5)
+
+
+def test_std_sums_its_distillation_and_spreads_where_sp_does_not():
+    batch = rollout(VECTOR, np.random.default_rng(0))
+    std, terms = value(MODULES["snd_std"](VECTOR.actions, VECTOR.size), batch)
+    recipe = OBJECTIVES["st_dim"]._replace(distillation={})
+    _, mean = value(cell(recipe, "distillation", VECTOR.actions, VECTOR.size), batch)
+    entries = 16 * int(batch.valid.sum())
+    np.testing.assert_allclose(
+        terms["distillation_loss"], mean["distillation_loss"] * entries, rtol=1e-4
     )
-    dirty = rows._replace(
-        frame=bad(rows.frame), next_frame=bad(rows.next_frame), action=bad(rows.action)
-    )
-    gradient = jax.jit(jax.value_and_grad(lambda p, r: module.loss(p, state, r, batch, key)[0]))
-    for one, other in zip(
-        *(jax.tree.leaves(gradient(params, r)) for r in (rows, dirty)), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
+    np.testing.assert_allclose(std, terms["distillation_loss"] + terms["objective_loss"], rtol=1e-6)
+    cross = lambda t: t["st_dim_global_local"] + t["st_dim_local_local"]
+    norm = lambda t: 1e-4 * t["st_dim_logit_norm"]
+    np.testing.assert_allclose(
+        terms["objective_loss"], cross(terms) + norm(terms) - 1e-4 * terms["st_dim_spread"],
+        rtol=1e-6,
+    )  # fmt: skip
+    sp, terms = value(MODULES["sp"](VECTOR.actions, VECTOR.size), batch)
+    np.testing.assert_allclose(terms["objective_loss"], cross(terms) + norm(terms), rtol=1e-6)
+    np.testing.assert_allclose(sp, terms["objective_loss"] + terms["prediction_loss"], rtol=1e-6)
 
 
-def test_distillation_moves_the_learned_network_and_never_the_target(name, kind):
-    module, params, state, batch = made(name, kind)
-    rows, key = all_rows(batch), jax.random.key(2)
-    distill = lambda p: module.loss(p, state, rows, batch, key)[1]["distillation_loss"]
-    gradient = jax.grad(distill)(params)
-    assert any(np.any(g) for g in jax.tree.leaves(gradient["learned"]))
-    for part in set(params) - {"learned"}:
-        assert not any(np.any(g) for g in jax.tree.leaves(gradient[part]))
-    if "target" in params:
-        shape = lambda p: module.loss(p, state, rows, batch, key)[1]["objective_loss"]
-        gradient = jax.grad(shape)(params)
-        assert all(np.any(g) for g in jax.tree.leaves(gradient["target"]))
-        assert not any(np.any(g) for g in jax.tree.leaves(gradient["learned"]))
-    else:
-        assert "target" in state  # frozen: no optimizer ever sees it
+def test_qrnd_tells_actions_apart_in_one_state_and_rnd_does_not():
+    batch = rollout(VECTOR, np.random.default_rng(0))
+    same = batch._replace(frames=jnp.ones_like(batch.frames), valid=jnp.ones_like(batch.valid))
+    for name, apart in (("qrnd", True), ("rnd", False)):
+        module = MODULES[name](VECTOR.actions, VECTOR.size)
+        params, state, _ = start(module, same)
+        reward = np.asarray(jax.jit(module.reward)(params, state, same, jax.random.key(1))[0])
+        by_action = [reward[np.asarray(same.action) == a] for a in range(VECTOR.actions)]
+        for values in by_action:
+            np.testing.assert_allclose(values, values[0], rtol=1e-5)
+        assert (len({float(v[0]) for v in by_action}) > 1) == apart
 
 
-def test_black_frames_have_finite_gradients(name, kind):
-    module, params, state, batch = made(name, kind)
-    rows = all_rows(batch._replace(frames=jnp.zeros_like(batch.frames)))
-    gradient = jax.grad(lambda p: module.loss(p, state, rows, batch, jax.random.key(0))[0])(params)
-    for leaf in jax.tree.leaves(gradient):
-        assert np.all(np.isfinite(leaf))
+def test_an_action_is_an_input_of_distillation_alone():
+    with pytest.raises(ValueError, match="action_input"):
+        cell(OBJECTIVES["vicreg"], "distillation", 3, VECTOR.size, action_input=True)
+    with pytest.raises(ValueError, match="action_input"):
+        cell(OBJECTIVES["none"], "noveld", 3, VECTOR.size, action_input=True)
 
 
-def test_distillation_on_a_fixed_batch_falls(name, kind):
-    """Against a target that stays: some steps of the learned network alone."""
-    module, params, state, batch = made(name, kind)
-    rows, optimizer = all_rows(batch), optax.adam(3e-3)
-    rest = {k: v for k, v in params.items() if k != "learned"}
-
-    @jax.jit
-    def step(learned, optimizer_state, key):
-        loss = lambda p: module.loss(rest | {"learned": p}, state, rows, batch, key)[1]
-        value, gradient = jax.value_and_grad(lambda p: loss(p)["distillation_loss"])(learned)
-        updates, optimizer_state = optimizer.update(gradient, optimizer_state)
-        return optax.apply_updates(learned, updates), optimizer_state, value
-
-    learned, optimizer_state = params["learned"], optimizer.init(params["learned"])
-    values = []
-    steps = 400 if kind.name == "vector" else 40
-    for key in jax.random.split(jax.random.key(0), steps):
-        learned, optimizer_state, value = step(learned, optimizer_state, key)
-        values.append(float(value))
-    assert np.mean(values[-5:]) < 0.5 * np.mean(values[:5])
+@pytest.mark.parametrize("words", [("slow", "distillation"), ("vicreg", "surprise")])
+def test_unknown_names_are_refused_with_the_known_ones(words):
+    with pytest.raises(ValueError, match="there is"):
+        sndjax.grid(*words, 3, VECTOR.size)
 
 
-def test_a_state_seen_often_is_less_novel_than_one_never_seen(name, kind):
-    module, params, state, batch = made(name, kind)
-    seen, optimizer = all_rows(batch), optax.adam(3e-3)
+@pytest.mark.parametrize("kind", [KINDS[0], VECTOR], ids=lambda kind: kind.name)
+@pytest.mark.parametrize(
+    "options",
+    [{"activation": "published"}, {"activation": "relu"}, {"preprocess": "mean"},
+     {"preprocess": "standardize"}, {"pairing": "one_linear"}, {"pairing": "two_linear"},
+     {"pairing": "relu"}],
+    ids=lambda o: "-".join(*o.items()),
+)  # fmt: skip
+def test_options_are_finite_and_change_the_networks_they_name(options, kind):
+    batch = rollout(kind, np.random.default_rng(0))
+    module = MODULES["snd_vic"](kind.actions, kind.size, **options)
+    params, state, arguments = start(module, batch)
+    reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
+    assert np.all(np.isfinite(reward))
+    assert np.isfinite(jax.jit(module.loss)(params, state, *arguments)[0])
+    dense = lambda part: sum(name.startswith("Dense") for name in params[part]["params"])
+    linear = {"one_linear": (1, 1), "two_linear": (2, 2), "relu": (1, 1)}
+    default = (1, 3) if kind.name != "vector" else (1, 1)
+    wanted = linear.get(options.get("pairing"), default)
+    assert (dense("encoder"), dense("signal")) == wanted
+    assert (state["moments"] is not None) == ("preprocess" in options)
 
-    @jax.jit
-    def step(params, optimizer_state, key):
-        gradient = jax.grad(lambda p: module.loss(p, state, seen, batch, key)[0])(params)
-        updates, optimizer_state = optimizer.update(gradient, optimizer_state)
-        return optax.apply_updates(params, updates), optimizer_state
 
-    optimizer_state = optimizer.init(params)
-    steps = 1000 if kind.name == "vector" else 150
-    for key in jax.random.split(jax.random.key(1), steps):
-        params, optimizer_state = step(params, optimizer_state, key)
-    other = rollout(kind, np.random.default_rng(99))
-    novelty = lambda r: module.reward(params, state, r, key)[0][np.asarray(r.valid)].mean()
-    assert novelty(other) > 1.5 * novelty(batch)
-
-
-def test_activations_and_preprocessings_are_options(name, kind):
-    for options in ({"activation": "published"}, {"preprocess": "standardize"}):
-        module, params, state, batch = made(name, kind, **options)
-        reward, _ = module.reward(params, state, batch, jax.random.key(1))
-        assert np.all(np.isfinite(reward))
+def test_black_frames_have_finite_gradients():
+    kind = KINDS[0]
+    batch = rollout(kind, np.random.default_rng(0))
+    batch = batch._replace(frames=jnp.zeros_like(batch.frames))
+    for name in ("snd_std", "snd_barlow", "snd_byol", "snd_v"):
+        module = MODULES[name](kind.actions, kind.size)
+        params, state, arguments = start(module, batch)
+        gradient = jax.jit(jax.grad(lambda p, m=module: m.loss(p, state, *arguments)[0]))(params)  # noqa: B023
+        for leaf in jax.tree.leaves(gradient):
+            assert np.all(np.isfinite(leaf))

@@ -5,7 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sndjax import ATARI, PROCGEN, VECTOR, ActorCritic, rnd, snd_std, snd_vic
+from sndjax import ATARI, PROCGEN, VECTOR, ActorCritic, snd_std
+from sndjax.algorithms import NAMED
+from sndjax.grid import OBJECTIVES, networks
 
 
 def count(tree):
@@ -19,15 +21,37 @@ FRAMES = {
 }
 # 9*1*32+32 + 9*32*64+64 + 9*64*64+64 + 9*64*128+128 + 12*12*128*512+512, and so on.
 ENCODERS = [
-    (snd_std, "atari", 9_567_296, 10_092_608),
-    (snd_vic, "atari", 9_567_296, 10_092_608),
-    (rnd, "atari", 4_776_608, 5_301_920),
-    (snd_std, "procgen", 2_190_912, 2_716_224),
-    (snd_vic, "procgen", 2_190_912, 4_850_304),
-    (rnd, "procgen", 2_159_264, 2_684_576),
-    (snd_std, "vector", 8_512, 8_512),
-    (snd_vic, "vector", 8_512, 8_512),
-    (rnd, "vector", 8_512, 8_512),
+    ("snd_std", "atari", 9_567_296, 10_092_608),
+    ("snd_vic", "atari", 9_567_296, 10_092_608),
+    ("snd_vinv", "atari", 9_567_296, 10_092_608),
+    ("snd_barlow", "atari", 9_567_296, 10_092_608),
+    ("snd_byol", "atari", 9_567_296, 10_092_608),
+    # 9*1*16+16 + 9*16*32+32 + 9*32*64+64 + 9*64*64+64 + 12*12*64*512+512
+    ("snd_v", "atari", 4_779_328, 5_304_640),
+    ("rnd", "atari", 4_776_608, 5_301_920),
+    ("qrnd", "atari", 4_776_608 + 18 * 512, 5_301_920 + 18 * 512),
+    ("snd_std", "procgen", 2_190_912, 2_716_224),
+    ("snd_vic", "procgen", 2_190_912, 4_850_304),
+    ("snd_vinv", "procgen", 2_190_912, 4_850_304),
+    # 9*3*16+16 + 9*16*32+32 + 9*32*64+64 + 9*64*64+64 + 8*8*64*512+512
+    ("snd_v", "procgen", 2_158_176, 2_683_488),
+    ("rnd", "procgen", 2_159_264, 2_684_576),
+    ("snd_std", "vector", 8_512, 8_512),
+    ("snd_vic", "vector", 8_512, 8_512),
+    ("snd_v", "vector", 8_512, 8_512),
+    ("rnd", "vector", 8_512, 8_512),
+    ("qrnd", "vector", 8_512 + 3 * 64, 8_512 + 3 * 64),
+]
+# Encoder; forward model d+A -> d -> d -> d, (512+18)*512+512 + 2*(512*512+512); what the
+# objective adds.
+PREDICTORS = [
+    ("sp", "atari", 9_567_296, 797_184, 36_992),
+    ("sp_vic", "atari", 9_567_296, 797_184, 0),
+    ("sp_vinv", "atari", 9_567_296, 797_184, 660_754),  # 1024 -> 512 -> 256 -> 18
+    ("icm", "atari", 9_567_296, 797_184, 796_690),  # 1024 -> 512 -> 512 -> 18
+    ("sp", "procgen", 2_190_912, 795_648, 36_992),
+    ("icm", "procgen", 2_190_912, 795_648, 795_151),
+    ("icm", "vector", 8_512, 12_672, 12_611),
 ]
 
 
@@ -36,16 +60,30 @@ def example(kind):
     return jnp.zeros((2, *shape), jnp.uint8 if len(shape) == 3 else jnp.float32)
 
 
-@pytest.mark.parametrize(("make", "kind", "target", "learned"), ENCODERS)
-def test_encoders_have_the_parameters_of_the_table(make, kind, target, learned):
+@pytest.mark.parametrize(("name", "kind", "target", "learned"), ENCODERS)
+def test_encoders_have_the_parameters_of_the_table(name, kind, target, learned):
     _, size, actions = FRAMES[kind]
-    module = make(actions, size)
+    module = NAMED[name](actions, size)
     params, state = jax.eval_shape(module.init, jax.random.key(0), example(kind))
-    assert count(params["target"] if "target" in params else state["target"]) == target
-    assert count(params["learned"]) == learned
-    if make is snd_std:
+    assert count(params["encoder"] if "encoder" in params else state["encoder"]) == target
+    assert count(params["signal"]) == learned
+    if name == "snd_std":
         width, local = (64, 64) if kind == "vector" else (512, 64)
         assert count(params["objective"]) == width * local + local + local * local + local
+    if name == "snd_byol":
+        # d -> d -> d/2 and d/2 -> d -> d/2, twice with the slow copy.
+        heads = 512 * 512 + 512 + 512 * 256 + 256 + 256 * 512 + 512 + 512 * 256 + 256
+        assert count(params["objective"]) == heads
+        assert count(state["slow"]) == target + heads
+
+
+@pytest.mark.parametrize(("name", "kind", "encoder", "forward", "objective"), PREDICTORS)
+def test_predictors_have_the_parameters_of_the_table(name, kind, encoder, forward, objective):
+    _, size, actions = FRAMES[kind]
+    params, _ = jax.eval_shape(NAMED[name](actions, size).init, jax.random.key(0), example(kind))
+    assert count(params["encoder"]) == encoder
+    assert count(params["signal"]) == forward
+    assert count(params["objective"]) == objective
 
 
 @pytest.mark.parametrize(
@@ -67,10 +105,8 @@ def test_actor_critic_has_the_parameters_of_the_table(kind, stack, parameters):
     ("kind", "local"), [("atari", (12, 12, 64)), ("procgen", (8, 8, 64)), ("vector", (1, 1, 64))]
 )
 def test_local_map_is_the_third_layer(kind, local):
-    from sndjax.algorithms import pair
-
     _, size, _ = FRAMES[kind]
-    target, _ = pair(size, (size.convolutions(size.last),) * 2, (0.5, 0.5), "elu")
+    target, _ = networks(OBJECTIVES["st_dim"], size, "elu", "asymmetric")
     params = jax.eval_shape(target.init, jax.random.key(0), example(kind))
     z, maps = jax.eval_shape(target.apply, params, example(kind))
     assert z.shape == (2, size.features)
@@ -93,7 +129,7 @@ def test_weights_are_orthogonal_with_the_gains_of_the_table_and_biases_zero():
 def test_convolutions_are_orthogonal_with_the_gain_of_the_table():
     module = snd_std(18)
     params, _ = module.init(jax.random.key(0), example("atari"))
-    for encoder in (params["target"], params["learned"]):
+    for encoder in (params["encoder"], params["signal"]):
         torso = encoder["params"]["Torso_0"]
         for i in range(4):
             kernel = np.asarray(torso[f"kernel_{i}"], np.float64)
@@ -112,3 +148,38 @@ def test_one_head_stands_behind_an_extra_relu():
     torso["params"]["Dense_4"]["kernel"] += 1.0
     assert np.all(one.apply(torso, x)[1] == 0)
     assert one.apply(params, x)[1].shape == (4, 1)
+
+
+GAINS = [
+    ("none", 2**0.5, 2**0.5), ("contrastive", 2**0.5, 2**0.5), ("st_dim", 0.5, 0.5),
+    ("vicreg", 0.5, 2**0.5), ("vicreg_inverse", 0.5, 2**0.5), ("inverse_dynamics", 2**0.5, None),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("objective", "encoder", "learned"), GAINS)
+def test_motivation_networks_have_the_gains_and_activations_of_the_table(
+    objective, encoder, learned
+):
+    recipe = OBJECTIVES[objective]
+    for activation, torso, between in (
+        ("elu", "elu", "elu"),
+        ("relu", "relu", "relu"),
+        ("published", "elu" if objective in ("none", "contrastive") else "relu", "elu"),
+    ):
+        made = networks(recipe, ATARI, activation, "asymmetric")
+        assert [(n.activation, n.extra_activation) for n in made] == [(torso, between)] * 2
+        assert made[0].gain == pytest.approx(encoder)
+        if learned is not None:
+            assert made[1].gain == pytest.approx(learned)
+
+
+@pytest.mark.parametrize(
+    ("pairing", "linear"),
+    [("asymmetric", (1, 3)), ("one_linear", (1, 1)), ("two_linear", (2, 2)), ("relu", (1, 1))],
+)
+def test_pairings_are_those_of_figure_5_4(pairing, linear):
+    target, learned = networks(OBJECTIVES["vicreg"], PROCGEN, "elu", pairing)
+    assert (target.extra + 1, learned.extra + 1) == linear
+    same = target.convolutions == learned.convolutions
+    assert same == (pairing != "asymmetric")
+    assert target.activation == ("relu" if pairing == "relu" else "elu")

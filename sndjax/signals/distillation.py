@@ -1,4 +1,4 @@
-"""Distillation: the novelty of a state is how badly a learned network copies a target there."""
+"""Distillation: the novelty of a state is how badly a learned network copies the encoder there."""
 
 from typing import Literal, cast
 
@@ -6,14 +6,13 @@ import chex
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.convolution import to_float
 from sndjax.networks import Encoder
-from sndjax.preprocessing import Preprocess, preprocessor
-from sndjax.rollout import map_steps, without_invalid
-from sndjax.statistics import expand, no_moments, update_moments
-from sndjax.types import Features, IntrinsicModule, Moments, Objective, Params
+from sndjax.rollout import map_steps
+from sndjax.statistics import expand
+from sndjax.types import Params, Signal, View
 
 
 def distillation_error(
@@ -21,9 +20,9 @@ def distillation_error(
     target: Float[Array, "B d"],
     reduction: Literal["mean", "half_sum"] = "mean",
 ) -> Float[Array, " B"]:
-    """The novelty of each state: the squared distance of its two feature vectors.
+    """The novelty of each state: the squared distance of its two feature vectors (eq. 4.23).
 
-    Mean over d of (learned - target)^2, as the published experiments have eq. 5.1's sum;
+    Mean over d of (learned - target)^2, as the published experiments have the equation's sum;
     `half_sum`, half its sum over d, is RND's (Burda et al., 2018).
 
     >>> distillation_error(jnp.array([[2.0, 0.0]]), jnp.zeros((1, 2)))
@@ -59,7 +58,7 @@ def distillation_loss(
     counted = jnp.broadcast_to(expand(valid, learned), learned.shape)
     if keep < 1:
         assert key is not None, "keep < 1 draws entries with a key"
-        counted &= jax.random.bernoulli(key, keep, learned.shape)
+        counted &= jax.random.bernoulli(key, jnp.float32(keep), learned.shape)
     squared = (learned - lax.stop_gradient(target)) ** 2
     total = jnp.sum(jnp.where(counted, squared, jnp.zeros_like(squared)))
     if reduction == "sum":
@@ -67,101 +66,58 @@ def distillation_loss(
     return total / jnp.maximum(jnp.sum(counted, dtype=learned.dtype), 1)
 
 
-def forward(
-    network: Encoder, params: Params, frames: Shaped[Array, "B *frame"]
-) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
-    """Features and local map of a batch of frames."""
-    return cast(tuple[Array, Array], network.apply(params, frames))
+def copied(learned: Encoder, params: Params, view: View, frames, action) -> Float[Array, "B d"]:
+    """The learned network's features of a batch of frames."""
+    return cast(tuple[Array, Array], learned.apply(params, view.prepare(frames), action))[0]
 
 
 def distillation(
-    target: Encoder,
     learned: Encoder,
-    objective: Objective | None,
-    num_actions: int,
     *,
-    signal: Literal["mean", "half_sum"] = "mean",
+    reading: Literal["mean", "half_sum"] = "mean",
     reduction: Literal["mean", "sum"] = "mean",
     keep: float = 1.0,
-    preprocess: Preprocess = "none",
-) -> IntrinsicModule:
-    """A module that rewards where a learned network does not yet copy a target network.
+) -> Signal:
+    """A learned network copies the encoder; its error is the novelty of s_t (eq. 4.23).
 
-    The target is shaped by `objective`, or, with None, stays as it was drawn: that is RND.
-    The loss is the objective's plus the distillation's, on separate parameters.
+    With an encoder that stays as it was drawn this is RND; with one that an objective
+    shapes, SND. The encoder is the target: no gradient of this loss reaches it.
 
     Args:
-      target, learned: the two networks.
-      objective: what trains the target on pairs (s_t, s_t+1).
-      num_actions: for objectives that look at actions.
-      signal: how the reward reduces over features, see `distillation_error`.
+      learned: the network that copies.
+      reading: how the reward reduces over features, see `distillation_error`.
       reduction, keep: how the loss does, see `distillation_loss`.
-      preprocess: what frames go through first; moments take in a rollout before its
-        rewards are read.
 
-    Returns:
-      The module. Its params hold "learned", and "target" and "objective" where the target
-      is trained; its state the frozen target where not, and the input moments.
+    >>> from sndjax import VECTOR, Encoder
+    >>> distillation(Encoder((), VECTOR.hidden, VECTOR.features, gain=1.0))  # doctest: +ELLIPSIS
+    Signal(init=...)
     """
-    moving = preprocess != "none"
 
-    def init(key, example):
-        key_target, key_learned, key_objective = jax.random.split(key, 3)
-        frame = to_float(example[:1])
-        params = {"learned": learned.init(key_learned, frame)}
-        target_params = target.init(key_target, frame)
-        state = {"moments": no_moments(frame.shape[1:]) if moving else None}
-        if objective is None:
-            return params, state | {"target": target_params}
-        z, local = forward(target, target_params, frame)
-        features = Features(z, z, local, local)
-        params["target"] = target_params
-        params["objective"] = objective.init(key_objective, features, num_actions)
-        return params, state
+    def init(key, example, features, num_actions):
+        return learned.init(key, to_float(example[:1]), jnp.zeros(1, jnp.int32)), {}
 
-    def target_of(params, state):
-        return state["target"] if objective is None else params["target"]
+    def reward(params, state, view, rollout, key):
+        def novelty(frame, action):
+            target, _ = view.encode(frame, action)
+            return distillation_error(copied(learned, params, view, frame, action), target, reading)
 
-    def reward(params, state, rollout, key):
-        frames = rollout.frames[:-1]
-        if moving:
-            moments: Moments = state["moments"]
-            state = state | {"moments": update_moments(moments, frames, rollout.valid, to_float)}
-        prepare = preprocessor(preprocess, state["moments"])
+        return map_steps(novelty, rollout.frames[:-1], rollout.action), state
 
-        def novelty(frame):
-            frame = prepare(frame)
-            copied, _ = forward(learned, params["learned"], frame)
-            wanted, _ = forward(target, target_of(params, state), frame)
-            return distillation_error(copied, wanted, signal)
+    def loss(params, state, view, features, batch, key):
+        copy = copied(learned, params, view, batch.frame, batch.action)
+        total = distillation_loss(copy, features.z, batch.valid, key, keep, reduction)
+        return total, {"distillation_loss": total}
 
-        value = map_steps(novelty, frames)
-        return jnp.where(rollout.valid, value, jnp.zeros_like(value)), state
+    return Signal(init, reward, loss)
 
-    def loss(params, state, batch, rollout, key):
-        batch = without_invalid(batch)
-        prepare = preprocessor(preprocess, state["moments"])
-        frame = prepare(batch.frame)
-        key_keep, key_objective = jax.random.split(key)
 
-        def encode(frames):
-            return forward(target, target_of(params, state), prepare(frames))
+def novelty_of_all(
+    learned: Encoder, params: Params, view: View, frames, reading: Literal["mean", "half_sum"]
+) -> Float[Array, "T1 N"]:
+    """The distillation error of every frame of a rollout, s_T included."""
 
-        z, local = encode(batch.frame)
-        copied, _ = forward(learned, params["learned"], frame)
-        total = distillation_loss(copied, z, batch.valid, key_keep, keep, reduction)
-        metrics = {"distillation_loss": total}
-        if objective is not None:
-            z_next, local_next = encode(batch.next_frame)
-            features = Features(z, z_next, local, local_next)
-            shaping, terms = objective.loss(
-                params["objective"], encode, features, batch, rollout, key_objective
-            )
-            total = total + shaping
-            metrics |= {"objective_loss": shaping} | terms
-        return total, metrics
+    def novelty(frame):
+        target, _ = view.encode(frame)
+        return distillation_error(copied(learned, params, view, frame, None), target, reading)
 
-    def update(params, state):
-        return state
-
-    return IntrinsicModule(init, reward, loss, update)
+    return map_steps(novelty, frames)

@@ -57,7 +57,7 @@ def test_a_random_quarter_of_the_entries_counts_and_others_the_next_time():
 def test_rnd_subtracts_the_mean_of_what_it_has_seen_and_reads_the_reward_after():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = rnd(VECTOR.actions, VECTOR.size)
-    params, state = module.init(jax.random.key(0), made.frames[0])
+    params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, state = module.reward(params, state, made, jax.random.key(1))
     seen = np.asarray(made.frames[:-1])[np.asarray(made.valid)]
     np.testing.assert_allclose(state["moments"].mean, seen.mean(0), rtol=1e-4, atol=1e-6)
@@ -71,7 +71,7 @@ def test_rnd_subtracts_the_mean_of_what_it_has_seen_and_reads_the_reward_after()
         return x @ np.asarray(weights["params"]["Dense_0"]["kernel"], np.float64)
 
     x = np.asarray(made.frames[:-1], np.float64) - seen.astype(np.float64).mean(0)
-    wanted = ((encode(params["learned"], x) - encode(state["target"], x)) ** 2).sum(-1) / 2
+    wanted = ((encode(params["signal"], x) - encode(state["encoder"], x)) ** 2).sum(-1) / 2
     valid = np.asarray(made.valid)
     np.testing.assert_allclose(np.asarray(reward)[valid], wanted[valid], rtol=1e-3)
     assert np.all(np.asarray(reward)[~valid] == 0)
@@ -82,7 +82,7 @@ def test_rnd_subtracts_the_mean_of_what_it_has_seen_and_reads_the_reward_after()
 def test_every_preprocessing_runs_on_every_input(mode, kind):
     made = rollout(kind, np.random.default_rng(0))
     module = rnd(kind.actions, kind.size, preprocess=mode)
-    params, state = module.init(jax.random.key(0), made.frames[0])
+    params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, state = jax.jit(module.reward)(params, state, made, jax.random.key(1))
     assert np.all(np.isfinite(reward))
     loss, _ = module.loss(params, state, transitions(made, jnp.arange(8)), made, jax.random.key(2))

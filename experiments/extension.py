@@ -1,0 +1,50 @@
+"""A bonus of the user's own: the function in a Python file that the command line names."""
+
+import importlib.util
+from typing import Any
+
+from experiments.config import function_of
+from experiments.options import ConfigError
+from sndjax import Architecture, IntrinsicModule
+
+
+def load_module(reference: str, num_actions: int, size: Architecture) -> IntrinsicModule:
+    """The module that FILE.py:FUNCTION makes of the number of actions and the network sizes.
+
+    This runs the file. Its name may come from the command line alone.
+
+    Raises:
+      ConfigError: there is no such file or function, it fails, or it makes something else.
+    """
+    name, path = function_of(reference), reference.rpartition(":")[0]
+    spec = importlib.util.spec_from_file_location("sndjax_user_module", path)
+    assert spec is not None
+    assert spec.loader is not None
+    loaded: Any = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(loaded)
+        if not callable(getattr(loaded, name, None)):
+            raise ConfigError(f"algo.module={reference}: {path} has no function {name}")
+        made = getattr(loaded, name)(num_actions, size)
+    except ConfigError:
+        raise
+    except Exception as error:  # the user's code may raise anything
+        kind = type(error).__name__
+        where = line_of(error, path)
+        raise ConfigError(f"algo.module={reference}: {kind}{where}: {error}") from None
+    if not isinstance(made, IntrinsicModule):
+        raise ConfigError(
+            f"algo.module={reference}: {name}(num_actions, size) must return an "
+            f"sndjax.IntrinsicModule, not {type(made).__name__}"
+        )
+    return made
+
+
+def line_of(error: BaseException, path: str) -> str:
+    """Where in the user's file an error came from."""
+    lines, trace = [], error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == path:
+            lines.append(trace.tb_lineno)
+        trace = trace.tb_next
+    return f" in line {lines[-1]}" if lines else ""

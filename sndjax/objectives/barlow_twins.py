@@ -1,0 +1,66 @@
+"""Barlow Twins on consecutive states (eq. 3.11)."""
+
+import chex
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sndjax.statistics import expand, masked_mean, masked_sum, safe_sqrt, valid_count
+from sndjax.types import Metrics, Objective
+
+
+def barlow_twins_loss(
+    z: Float[Array, "B d"],
+    z_next: Float[Array, "B d"],
+    valid: Bool[Array, " B"],
+    redundancy: float = 5e-3,
+) -> tuple[Float[Array, ""], Metrics]:
+    """Barlow Twins over the n valid rows, on features normalised along the batch::
+
+        L = sum_i (1 - C_ii)^2 + lambda sum_i sum_{j != i} C_ij^2                 (3.11)
+        C = 1/n sum_b z^_b z^'_b^T,  z^ = (z - mean) / deviation, the one with 1/n
+
+    A feature without any spread is 0 when normalised, and so is its gradient. (Zbontar et
+    al., 2021, whose lambda this is; consecutive states stand for their two views.)
+
+    Args:
+      z, z_next: features of s_t and of s_t+1.
+      valid: the rows that count.
+      redundancy: lambda.
+
+    >>> z = jnp.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]])
+    >>> barlow_twins_loss(z, z, jnp.ones(4, bool))[0]
+    Array(0., dtype=float32)
+    """
+    chex.assert_equal_shape([z, z_next])
+    count = valid_count(valid, z.dtype)
+
+    def normalised(z):
+        centred = z - masked_mean(z, valid)[None]
+        centred = jnp.where(expand(valid, z), centred, jnp.zeros_like(z))
+        deviation = safe_sqrt(masked_sum(centred**2, valid) / count)
+        return centred / jnp.where(deviation > 0, deviation, jnp.ones_like(deviation))[None]
+
+    correlation = normalised(z).T @ normalised(z_next) / count
+    own = jnp.eye(z.shape[1], dtype=bool)
+    invariance = jnp.sum((1 - jnp.diagonal(correlation)) ** 2)
+    others = jnp.sum(jnp.where(own, jnp.zeros_like(correlation), correlation) ** 2)
+    return invariance + redundancy * others, {
+        "barlow_invariance": invariance,
+        "barlow_redundancy": others,
+    }
+
+
+def barlow_twins(redundancy: float = 5e-3) -> Objective:
+    """The Barlow Twins objective (eq. 3.11), without parameters. See `barlow_twins_loss`.
+
+    >>> barlow_twins().init(None, None, 18)
+    {}
+    """
+
+    def init(key, features, num_actions):
+        return {}
+
+    def loss(params, encode, features, batch, rollout, key):
+        return barlow_twins_loss(features.z, features.z_next, batch.valid, redundancy)
+
+    return Objective(init, loss)

@@ -1,0 +1,106 @@
+"""Contrastive pairs of augmented states, near and far: the objective of SND-V."""
+
+import chex
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from sndjax.convolution import to_float
+from sndjax.statistics import expand
+from sndjax.types import Metrics, Objective
+
+TILES = (1, 2, 4, 8, 12, 16)  # sides in pixels; those that divide the image are used
+NOISE = 0.2
+
+
+def contrastive_loss(
+    za: Float[Array, "P d"], zb: Float[Array, "P d"], far: Bool[Array, " P"], bound: float = 200.0
+) -> tuple[Float[Array, ""], Metrics]:
+    """Distance 0 for near pairs, 1 for far ones, and features that stay small, over P pairs::
+
+        L = mean_p (y_p - mean_j (za_pj - zb_pj)^2)^2
+            + max(0, mean(za^2) + mean(zb^2) - bound),     y = 1 where far, else 0
+
+    SND-V of the published experiments (article arXiv 2302.11563).
+
+    Args:
+      za, zb: features of both views of each pair.
+      far: whether the pair's states differ.
+      bound: what the mean squares may reach together before they cost.
+
+    >>> z = jnp.ones((2, 3))
+    >>> contrastive_loss(z, z, jnp.array([False, True]))[0]
+    Array(0.5, dtype=float32)
+    """
+    chex.assert_equal_shape([za, zb])
+    distance = jnp.mean((za - zb) ** 2, axis=-1)
+    contrast = jnp.mean((far.astype(za.dtype) - distance) ** 2)
+    excess = jax.nn.relu(jnp.mean(za**2) + jnp.mean(zb**2) - bound)
+    return contrast + excess, {"contrast": contrast, "contrast_excess": excess}
+
+
+def draw_pairs(
+    key: PRNGKeyArray, valid: Bool[Array, " M"], pairs: int
+) -> tuple[Int[Array, " P"], Int[Array, " P"], Bool[Array, " P"]]:
+    """Indices of both states of each pair among the valid rows, and which pairs are far.
+
+    The first half (rounded up) is far: two different rows, uniformly drawn. A near pair is one
+    row twice. Where only one row is valid, far pairs are of that row too; with none, of row 0.
+    """
+    key_one, key_other = jax.random.split(key)
+    rank = jnp.cumsum(valid)
+    count = jnp.maximum(rank[-1], 1)
+    row = lambda k: jnp.minimum(jnp.searchsorted(rank, k + 1), valid.shape[0] - 1)
+    one = jax.random.randint(key_one, (pairs,), 0, count)
+    step = jax.random.randint(key_other, (pairs,), 1, jnp.maximum(count, 2))
+    far = jnp.arange(pairs) < (pairs + 1) // 2
+    return row(one), row(jnp.where(far, (one + step) % count, one)), far
+
+
+def augment(key: PRNGKeyArray, x: Float[Array, "P *frame"]) -> Float[Array, "P *frame"]:
+    """Tiles of zeros, then uniform noise in +-0.2, each for half of the samples; no clipping.
+
+    Tiles are square, of one side per call, and each is zero with probability 0.1; the tiles of
+    a vector are its elements.
+    """
+    key_tiled, key_tile, key_side, key_noised, key_noise = jax.random.split(key, 5)
+    samples = x.shape[0]
+    if x.ndim == 4:
+        height, width = x.shape[1:3]
+        sides = jnp.array([s for s in TILES if height % s == 0 and width % s == 0])
+        side = jax.random.choice(key_side, sides)
+        drawn = jax.random.bernoulli(key_tile, jnp.float32(0.1), (samples, height, width))
+        rows, columns = jnp.arange(height) // side, jnp.arange(width) // side
+        zeroed = drawn[:, rows][:, :, columns][..., None]
+    else:
+        zeroed = jax.random.bernoulli(key_tile, jnp.float32(0.1), x.shape)
+    half = jnp.float32(0.5)
+    tiled = jax.random.bernoulli(key_tiled, half, (samples,))
+    x = jnp.where(expand(tiled, x) & zeroed, jnp.zeros_like(x), x)
+    noise = jax.random.uniform(key_noise, x.shape, jnp.float32, -NOISE, NOISE)
+    noised = jax.random.bernoulli(key_noised, half, (samples,))
+    return jnp.where(expand(noised, x), x + noise.astype(x.dtype), x)
+
+
+def contrastive() -> Objective:
+    """The objective of SND-V: B/8 pairs of the whole rollout, drawn afresh for each minibatch.
+
+    It reads neither the minibatch nor any s_t+1. See `contrastive_loss`.
+
+    >>> contrastive().pairs
+    False
+    """
+
+    def init(key, features, num_actions):
+        return {}
+
+    def loss(params, encode, features, batch, rollout, key):
+        key_pairs, key_one, key_other = jax.random.split(key, 3)
+        pairs = max(2, batch.valid.shape[0] // 8)
+        one, other, far = draw_pairs(key_pairs, rollout.valid.reshape(-1), pairs)
+        frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
+        za, _ = encode(augment(key_one, to_float(frames[one])))
+        zb, _ = encode(augment(key_other, to_float(frames[other])))
+        return contrastive_loss(za, zb, far)
+
+    return Objective(init, loss, pairs=False)

@@ -1,0 +1,62 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sndjax import barlow_twins_loss as eager_loss
+
+barlow_twins_loss = jax.jit(eager_loss)
+
+
+def in_numpy(z, z_next, valid, redundancy=5e-3):
+    """Eq. 3.11 in float64, one pair of features at a time."""
+    z, z_next = (np.asarray(v, np.float64)[np.asarray(valid)] for v in (z, z_next))
+    width, total = z.shape[1], 0.0
+    for i in range(width):
+        for j in range(width):
+            c = np.corrcoef(z[:, i], z_next[:, j])[0, 1]
+            total += (1 - c) ** 2 if i == j else redundancy * c**2
+    return total
+
+
+def case(seed, rows=12, width=5):
+    rng = np.random.default_rng(seed)
+    z, other = (jnp.asarray(rng.normal(size=(rows, width)).astype(np.float32)) for _ in range(2))
+    valid = rng.random(rows) < 0.7
+    valid[:3] = True
+    return z, z + 0.5 * other, jnp.asarray(valid)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_equals_the_equation_in_float64(seed):
+    np.testing.assert_allclose(barlow_twins_loss(*case(seed))[0], in_numpy(*case(seed)), rtol=1e-3)
+
+
+def test_runs_without_jit():
+    np.testing.assert_allclose(eager_loss(*case(0))[0], barlow_twins_loss(*case(0))[0], rtol=1e-5)
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3), st.floats(-5, 5))
+def test_scale_and_shift_of_a_view_and_order_of_rows_do_not_matter(seed, scale, shift):
+    z, z_next, valid = case(seed)
+    order = np.random.default_rng(seed).permutation(len(z))
+    loss = barlow_twins_loss(z, z_next, valid)[0]
+    moved = barlow_twins_loss(scale * z[order] + shift * scale, z_next[order], valid[order])[0]
+    np.testing.assert_allclose(moved, loss, rtol=1e-3, atol=1e-4)
+
+
+def test_zero_on_equal_views_that_are_uncorrelated():
+    z = np.random.default_rng(0).normal(size=(64, 6))
+    z = np.linalg.svd(z - z.mean(0), full_matrices=False)[0].astype(np.float32)
+    loss = barlow_twins_loss(jnp.asarray(z), jnp.asarray(z), jnp.ones(64, bool))[0]
+    np.testing.assert_allclose(loss, 0, atol=1e-6)
+
+
+def test_a_collapsed_view_costs_one_per_feature_and_has_finite_gradients():
+    z = jnp.ones((8, 3))
+    loss, gradient = jax.value_and_grad(lambda z: barlow_twins_loss(z, z, jnp.ones(8, bool))[0])(z)
+    np.testing.assert_allclose(loss, 3)
+    np.testing.assert_array_equal(gradient, 0)

@@ -1,0 +1,37 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sndjax import (
+    Features,
+    Transition,
+    byol,
+    inverse_dynamics,
+    inverse_dynamics_loss,
+    vicreg,
+    vicreg_loss,
+    weighted_sum,
+)
+from sndjax.networks import Perceptron
+
+
+def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
+    """Eq. 5.9, its two terms computed apart."""
+    rng = np.random.default_rng(0)
+    z, z_next = (jnp.asarray(rng.normal(size=(6, 8)).astype(np.float32)) for _ in range(2))
+    features, valid = Features(z, z_next, None, None), jnp.arange(6) < 5
+    action = jnp.array([0, 1, 2, 0, 1, 2])
+    vinv = weighted_sum((1, vicreg()), (1 / 2, inverse_dynamics(1 / 2)))
+    params = vinv.init(jax.random.key(0), features, 3)
+    batch = Transition(None, action, None, None, None, valid)
+    got, metrics = vinv.loss(params, None, features, batch, None, jax.random.key(1))
+    logits = Perceptron((8, 4, 3)).apply(params[1], jnp.concatenate([z, z_next], -1))
+    wanted = vicreg_loss(z, z_next, valid)[0] + inverse_dynamics_loss(logits, action, valid)[0] / 2
+    np.testing.assert_allclose(got, wanted, rtol=1e-5)
+    assert {"vicreg_variance", "inverse_dynamics"} <= set(metrics)
+
+
+def test_a_part_with_a_moving_average_is_refused():
+    with pytest.raises(ValueError, match="moving average"):
+        weighted_sum((1, vicreg()), (1, byol()))

@@ -1,0 +1,57 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+from builders import KINDS, rollout
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sndjax import ensemble_variance, grid, transitions
+from sndjax.grid import OBJECTIVES, networks
+from sndjax.signals.prediction import foresee
+
+VECTOR = KINDS[2]
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 6))
+def test_equals_the_variance_in_float64(seed, members):
+    predicted = np.random.default_rng(seed).normal(size=(members, 5, 4)).astype(np.float32)
+    exact = predicted.astype(np.float64)
+    wanted = ((exact - exact.mean(0, keepdims=True)) ** 2).mean(0).mean(-1)
+    np.testing.assert_allclose(ensemble_variance(jnp.asarray(predicted)), wanted, rtol=1e-4)
+    order = np.random.default_rng(seed).permutation(members)
+    np.testing.assert_allclose(ensemble_variance(jnp.asarray(predicted[order])), wanted, rtol=1e-4)
+
+
+def test_members_that_agree_see_nothing_novel():
+    np.testing.assert_array_equal(ensemble_variance(jnp.ones((5, 3, 2))), 0)
+
+
+def test_members_start_apart_and_the_reward_is_their_variance():
+    made = rollout(VECTOR, np.random.default_rng(0))
+    module = grid("none", "disagreement", VECTOR.actions, VECTOR.size)
+    params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
+    reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
+    encoder, _ = networks(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
+    rows = transitions(made, jnp.arange(32))
+    z, _ = encoder.apply(state["encoder"], rows.frame)
+    predictions = [
+        foresee(jax.tree.map(lambda x, k=k: x[k], params["signal"]), z, rows.action)
+        for k in range(5)
+    ]
+    assert np.abs(predictions[0] - predictions[1]).max() > 0.1
+    wanted = np.var(np.asarray(predictions, np.float64), axis=0).mean(-1)
+    valid = np.asarray(rows.valid)
+    np.testing.assert_allclose(np.asarray(reward).ravel()[valid], wanted[valid], rtol=1e-4)
+
+
+def test_each_member_learns_from_rows_of_its_own():
+    """The gradients of two members with equal weights differ: they saw different rows."""
+    made = rollout(VECTOR, np.random.default_rng(0))
+    module = grid("none", "disagreement", VECTOR.actions, VECTOR.size)
+    params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
+    params = {"signal": jax.tree.map(lambda x: jnp.stack([x[0]] * 5), params["signal"])}
+    rows = transitions(made, jnp.arange(32))
+    gradient = jax.jit(jax.grad(lambda p, k: module.loss(p, state, rows, made, k)[0]))
+    kernel = gradient(params, jax.random.key(0))["signal"]["params"]["Dense_2"]["kernel"]
+    assert all(np.abs(kernel[0] - kernel[k]).max() > 0 for k in range(1, 5))

@@ -1,0 +1,84 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+from builders import KINDS, rollout
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sndjax import Features, grid
+from sndjax import elliptical_bonus as eager_bonus
+from sndjax.grid import OBJECTIVES, networks
+from sndjax.signals.e3b import e3b
+
+elliptical_bonus = jax.jit(eager_bonus)
+VECTOR = KINDS[2]
+
+
+def in_numpy(covariance, z, made, ridge=0.1):
+    """In float64 with the covariance itself, solved anew at every step."""
+    first, valid = np.asarray(made.first), np.asarray(made.valid)
+    z, width = np.asarray(z, np.float64), z.shape[-1]
+    bonus = np.zeros(valid.shape)
+    for t in range(len(valid)):
+        for n in range(valid.shape[1]):
+            if not valid[t, n]:
+                continue
+            if first[t, n]:
+                covariance[n] = ridge * np.eye(width) + np.outer(z[t, n], z[t, n])
+            bonus[t, n] = z[t + 1, n] @ np.linalg.solve(covariance[n], z[t + 1, n])
+            covariance[n] = covariance[n] + np.outer(z[t + 1, n], z[t + 1, n])
+    return bonus
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_equals_the_ellipsoid_solved_anew_across_rollouts(seed):
+    rng = np.random.default_rng(seed)
+    covariance = np.tile(0.1 * np.eye(3), (4, 1, 1))
+    inverse = jnp.tile(10 * jnp.eye(3)[None], (4, 1, 1))
+    for _ in range(2):
+        made = rollout(VECTOR, rng)
+        z = rng.normal(size=(9, 4, 3)).astype(np.float32)
+        wanted = in_numpy(covariance, z, made)
+        bonus, inverse = elliptical_bonus(inverse, jnp.asarray(z), made)
+        valid = np.asarray(made.valid)
+        np.testing.assert_allclose(np.asarray(bonus)[valid], wanted[valid], rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(inverse, np.linalg.inv(covariance), rtol=2e-2, atol=1e-4)
+
+
+def test_a_state_met_k_times_is_worth_one_over_k_plus_ridge():
+    """Closed form for one direction: ||z||^2 / (ridge + k ||z||^2)."""
+    made = rollout(VECTOR, np.random.default_rng(0))
+    no = jnp.zeros((8, 4), bool)
+    made = made._replace(first=no.at[0].set(True), done=no, valid=~no)
+    z = jnp.tile(jnp.array([2.0, 0.0])[None, None], (9, 4, 1))
+    bonus, _ = elliptical_bonus(jnp.zeros((4, 2, 2)), z, made)
+    np.testing.assert_allclose(bonus[:, 0], [4 / (0.1 + 4 * k) for k in range(1, 9)], rtol=1e-4)
+
+
+def test_long_episodes_keep_a_usable_inverse():
+    """4,500 steps, the longest Atari episode: the float32 recursion against float64."""
+    rng = np.random.default_rng(0)
+    no = jnp.zeros((4500, 1), bool)
+    made = rollout(VECTOR, rng)._replace(first=no.at[0].set(True), done=no, valid=~no)
+    z = rng.normal(size=(4501, 1, 8)).astype(np.float32)
+    bonus, _ = elliptical_bonus(jnp.zeros((1, 8, 8)), jnp.asarray(z), made)
+    wanted = in_numpy(np.zeros((1, 8, 8)), z, made)
+    np.testing.assert_allclose(bonus, wanted, rtol=5e-3, atol=1e-6)
+
+
+def test_wide_features_are_projected_and_the_reward_is_their_bonus():
+    made = rollout(VECTOR, np.random.default_rng(0))
+    module = grid("none", "e3b", VECTOR.actions, VECTOR.size)
+    params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
+    assert state["signal"]["projection"] is None  # 16 features are few enough
+    reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
+    encoder, _ = networks(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
+    z, _ = encoder.apply(state["encoder"], made.frames.reshape(36, -1))
+    wanted = in_numpy(np.tile(0.1 * np.eye(16), (4, 1, 1)), np.asarray(z).reshape(9, 4, 16), made)
+    valid = np.asarray(made.valid)
+    np.testing.assert_allclose(np.asarray(reward)[valid], wanted[valid], rtol=5e-3)
+    wide = Features(jnp.zeros((1, 512)), None, None, None)
+    _, state = e3b().init(jax.random.key(0), made.frames[0], wide, 3)
+    assert state["projection"].shape == (512, 128)
+    assert state["inverse"].shape == (4, 128, 128)

@@ -1,0 +1,105 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+from builders import KINDS, rollout
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sndjax import Moments, distillation_error, grid
+from sndjax.grid import OBJECTIVES, networks
+from sndjax.signals.ngu import Kernel, Memory, lifelong_factor
+from sndjax.signals.ngu import episodic_rewards as eager_rewards
+
+episodic_rewards = jax.jit(eager_rewards, static_argnums=3)
+VECTOR = KINDS[2]
+
+
+def empty(envs, capacity, width):
+    zero = jnp.zeros(())
+    return Memory(jnp.zeros((envs, capacity, width)), jnp.zeros(envs, jnp.int32), zero, zero)
+
+
+class InNumpy:
+    """Algorithm 1 of Badia et al. in float64, with lists for memories."""
+
+    def __init__(self, envs, capacity, kernel):
+        self.lists, self.capacity, self.kernel = [[] for _ in range(envs)], capacity, kernel
+        self.distances = []
+
+    def rewards(self, z, made):
+        k, first, valid = self.kernel, np.asarray(made.first), np.asarray(made.valid)
+        z = np.asarray(z, np.float64)
+        out = np.zeros(valid.shape)
+        for t in range(len(valid)):
+            rows = [n for n in range(valid.shape[1]) if valid[t, n]]
+            nearest = {}
+            for n in rows:
+                if first[t, n]:
+                    self.lists[n] = [z[t, n]]
+                squares = sorted(((z[t + 1, n] - m) ** 2).sum() for m in self.lists[n])
+                nearest[n] = np.array(squares[: k.neighbours])
+                self.distances.extend(nearest[n])
+            for n in rows:
+                distance = nearest[n] / (np.mean(self.distances) or 1)
+                distance = np.maximum(distance - k.cluster, 0)
+                similar = np.sqrt((k.epsilon / (distance + k.epsilon)).sum()) + k.constant
+                out[t, n] = 0 if similar > k.most else 1 / similar
+                self.lists[n] = [*self.lists[n], z[t + 1, n]][-self.capacity :]
+        return out
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([3, 64]))
+def test_equals_algorithm_1_across_rollouts_and_a_full_memory(seed, capacity):
+    kernel = Kernel(neighbours=2)
+    rng = np.random.default_rng(seed)
+    memory, oracle = empty(4, capacity, 3), InNumpy(4, capacity, kernel)
+    for part in range(3):
+        made = rollout(VECTOR, rng)
+        if part == 0:  # episodes begin here, so that every later state has a neighbour
+            no = jnp.zeros((8, 4), bool)
+            made = made._replace(first=no.at[0].set(True), done=no, valid=~no)
+        z = rng.normal(size=(9, 4, 3)).astype(np.float32)
+        wanted = oracle.rewards(z, made)
+        novelty, memory = episodic_rewards(memory, jnp.asarray(z), made, kernel)
+        valid = np.asarray(made.valid)
+        np.testing.assert_allclose(np.asarray(novelty)[valid], wanted[valid], rtol=2e-3)
+
+
+def test_ten_equal_neighbours_are_worth_one_over_the_root_of_ten():
+    """Closed form: distance 0 makes every kernel 1."""
+    no = jnp.zeros((20, 1), bool)
+    made = rollout(VECTOR, np.random.default_rng(0))
+    made = made._replace(first=no.at[0].set(True), done=no, valid=~no)
+    novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, Kernel())
+    wanted = [1 / (np.sqrt(min(k, 10)) + 1e-3) for k in range(1, 21)]
+    np.testing.assert_allclose(novelty[:, 0], wanted, rtol=1e-5)
+    similar = Kernel(most=2.0)  # beyond it nothing is novel
+    novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, similar)
+    assert np.all(novelty[4:, 0] == 0)
+    assert np.all(novelty[:3, 0] > 0)
+
+
+def test_the_lifelong_factor_is_between_one_and_its_most():
+    moments = Moments(jnp.array(9.0), jnp.array(2.0), jnp.array(36.0))  # deviation 2
+    got = lifelong_factor(jnp.array([[0.0, 2.0, 4.0, 100.0]]), moments)
+    np.testing.assert_allclose(got, [[1, 1, 2, 5]], rtol=1e-6)
+
+
+def test_the_reward_is_the_product_of_both():
+    no = jnp.zeros((8, 4), bool)
+    made = rollout(VECTOR, np.random.default_rng(0))
+    made = made._replace(first=no.at[0].set(True), done=no, valid=(~no).at[3, 1].set(False))
+    module = grid("vicreg", "ngu", VECTOR.actions, VECTOR.size)
+    params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
+    reward, after = jax.jit(module.reward)(params, state, made, jax.random.key(1))
+    encoder, learned = networks(OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric")
+    frames = made.frames.reshape(36, -1)
+    z, _ = encoder.apply(params["encoder"], frames)
+    copy, _ = learned.apply(params["signal"], frames)
+    error = np.asarray(distillation_error(copy, z), np.float64).reshape(9, 4)[1:]
+    valid = np.asarray(made.valid)
+    factor = np.clip(1 + (error - error[valid].mean()) / error[valid].std(), 1, 5)
+    episodic = InNumpy(4, 1024, Kernel()).rewards(np.asarray(z).reshape(9, 4, 16), made)
+    np.testing.assert_allclose(np.asarray(reward)[valid], (episodic * factor)[valid], rtol=5e-3)
+    assert int(after["signal"]["errors"].samples) == valid.sum()
