@@ -1,5 +1,6 @@
 """One pool of envpool environments for all seeds of a run, read as frames."""
 
+import sys
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -205,11 +206,12 @@ class GymnasiumPool(Pool):
 
     def __init__(self, config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0):
         count = len(seeds) * num_envs
+        if "" not in sys.path:
+            sys.path.insert(0, "")  # env.id=my_file:MyTask-v0 is looked for here first
         try:
             self.envs = gym.make_vec(config.id, num_envs=count, **config.options)
         except gym.error.NameNotFound:
-            known = [*gym.registry, config.id.partition(":")[0]]
-            raise unknown("gymnasium task", config.id, known) from None
+            raise unknown("gymnasium task", config.id, gym.registry) from None
         except Exception as error:  # a user's environment may raise anything
             message = str(error).strip().splitlines() or [repr(error)]
             raise ConfigError(f"gymnasium cannot make {config.id}: {message[0]}") from None

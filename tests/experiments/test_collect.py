@@ -9,7 +9,7 @@ import numpy as np
 import sndjax
 from experiments.collect import Collector
 from experiments.config import load
-from experiments.environments import Pool
+from experiments.environments import make_pool
 from experiments.training import build, first_states, over_seeds
 from sndjax.rollout import stacker
 
@@ -19,7 +19,7 @@ def test_a_rollout_holds_what_the_environments_returned_and_the_policy_said():
         ["env=Venture", "algo=rnd", "num_seeds=2", "env.options.max_episode_steps=6",
          "num_envs=4", "rollout_length=16", "ppo.minibatch_size=64", "algo.minibatch_size=64"]
     )  # fmt: skip
-    pool, plain = (Pool(config.env, [0, 1], 4) for _ in range(2))
+    pool, plain = (make_pool(config.env, [0, 1], 4) for _ in range(2))
     size = sndjax.ATARI._replace(channels=(4, 4, 4), last=4, rnd_channels=(4, 4, 4), features=8)
     agent = build(config, pool)._replace(network=sndjax.ActorCritic(size, 18))
     example = jnp.zeros((4, 96, 96, 1), jnp.uint8)

@@ -6,25 +6,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments import config
+from experiments import config, options
 from experiments.options import Config, ConfigError, PPOConfig
 from sndjax import Hyperparameters
 from sndjax.algorithms import NAMED
+from sndjax.grid import COPYING, OBJECTIVES, SIGNALS
 
 VENTURE = ["env=Venture", "algo=snd_std"]
 
 # The table of intrinsic scales, as published per environment; 0.5 where it is empty.
+ALL = {"rnd": 1, "icm": 1, "sp": 1, "snd_v": 0.5, "qrnd": 0.5, "sp_vic": 0.5, "sp_vinv": 0.5}
+ATARI = ALL | {"snd_vic": 0.25, "snd_vinv": 0.5, "snd_barlow": 0.5, "snd_byol": 0.5}
+PROCGEN = ALL | {"snd_vic": 0.5, "snd_vinv": 0.5}
 ETA = {
-    "MontezumaRevenge": {"rnd": 1, "snd_std": 1, "snd_vic": 0.25},
-    "Gravitar": {"rnd": 1, "snd_std": 1, "snd_vic": 0.25},
-    "Venture": {"rnd": 1, "snd_std": 0.25, "snd_vic": 0.25},
-    "PrivateEye": {"rnd": 1, "snd_std": 0.5, "snd_vic": 0.25},
-    "Pitfall": {"rnd": 1, "snd_std": 1, "snd_vic": 0.25},
-    "Solaris": {"rnd": 1, "snd_std": 0.5, "snd_vic": 0.25},
-    "Climber": {"rnd": 1, "snd_std": 1, "snd_vic": 0.5},
-    "Caveflyer": {"rnd": 1, "snd_std": 0.5, "snd_vic": 0.5},
-    "Coinrun": {"rnd": 1, "snd_std": 0.25, "snd_vic": 0.5},
-    "Jumper": {"rnd": 1, "snd_std": 1, "snd_vic": 0.5},
+    "MontezumaRevenge": ATARI | {"snd_std": 1},
+    "Gravitar": ATARI | {"snd_std": 1},
+    "Venture": ATARI | {"snd_std": 0.25},
+    "PrivateEye": ATARI | {"snd_std": 0.5},
+    "Pitfall": ATARI | {"snd_std": 1},
+    "Solaris": ATARI | {"snd_std": 0.5},
+    "Climber": PROCGEN | {"snd_std": 1},
+    "Caveflyer": PROCGEN | {"snd_std": 0.5},
+    "Coinrun": PROCGEN | {"snd_std": 0.25},
+    "Jumper": PROCGEN | {"snd_std": 1},
 }
 
 
@@ -39,7 +43,8 @@ def test_every_environment_carries_its_published_settings(env):
         assert (made.env.stack, made.env.reward) == ((4, "sign") if atari else (2, "raw"))
         assert made.env.random_action == (0 if atari else 0.01)
         assert (made.ppo.gamma_ext, made.ppo.ext_weight) == (0.998, 2)
-        assert made.algo.preprocess == ("mean" if algo == "rnd" else "none")
+        assert made.algo.preprocess == ("mean" if algo in ("rnd", "qrnd") else "none")
+        assert made.algo.gradient == ("detached" if algo == "icm" else "symmetric")
     baseline = config.load([f"env={env}", "algo=ppo"])
     assert baseline.ppo.gamma_ext == (0.998 if env == "Gravitar" else 0.99)
     assert baseline.ppo.ext_weight == 1
@@ -59,7 +64,40 @@ def test_the_thesis_configuration_is_the_default():
 def test_the_laboratory_and_the_library_have_the_same_hyperparameters():
     ours = {f.name: f.default for f in dataclasses.fields(PPOConfig)}
     assert ours == Hyperparameters()._asdict()
-    assert set(NAMED) == set(config.choices("algo"))
+    assert {*NAMED, "grid", "module"} == set(config.choices("algo"))
+    assert tuple(OBJECTIVES) == config.OBJECTIVES
+    assert tuple(SIGNALS) == options.SIGNALS
+    assert set(config.COPYING) == set(COPYING)
+
+
+def test_a_named_algorithm_records_the_cell_it_is():
+    for name in set(NAMED) - {"ppo"}:
+        made = config.load(["env=Jumper", f"algo={name}"]).algo
+        assert made.objective in OBJECTIVES
+        kind = "prediction" if name.startswith(("sp", "icm")) else "distillation"
+        assert made.signal == kind
+
+
+def test_any_cell_can_be_asked_for():
+    made = config.load(
+        ["env=Venture", "algo=grid", "algo.objective=barlow_twins", "algo.signal=noveld"]
+    )
+    assert (made.algo.name, made.algo.eta) == ("grid", 0.5)
+    assert (made.algo.objective, made.algo.signal) == ("barlow_twins", "noveld")
+
+
+def test_a_bonus_of_ones_own_is_named_on_the_command_line_alone(tmp_path):
+    code = tmp_path / "bonus.py"
+    code.write_text("")
+    made = config.load(["env=MountainCar", f"algo.module={code}:mine"])
+    assert (made.algo.name, made.algo.module) == ("mine", f"{code}:mine")
+    (tmp_path / "config.yaml").write_text(config.to_yaml(made))
+    with pytest.raises(ConfigError, match="no stored file may name code"):
+        config.load([f"resume={tmp_path}"])
+    again = config.load([f"resume={tmp_path}", f"algo.module={code}:mine"])
+    assert again.algo.module == made.algo.module
+    with pytest.raises(ConfigError, match="not other"):
+        config.load([f"resume={tmp_path}", "algo.module=other.py:mine"])
 
 
 def test_everything_can_be_overridden():
@@ -84,7 +122,7 @@ def test_any_envpool_task_gets_the_settings_of_its_family():
 
 REFUSED = [
     ([], "say env=NAME, one of: Caveflyer"),
-    (["env=Venture"], "say algo=NAME, one of: ppo, rnd"),
+    (["env=Venture"], "say algo=NAME, one of: grid, icm"),
     (["env=Ventur", "algo=rnd"], "did you mean Venture"),
     (["env=Venture", "algo=snd_vik"], "did you mean snd_vic"),
     (["env=envpool", "algo=rnd"], "needs a task"),
@@ -111,6 +149,22 @@ REFUSED = [
     ([*VENTURE, "resume=/nonexistent"], "there is no run"),
     (["env=Venture", "algo=ppo", "ppo.ext_weight=0"], "nothing to learn from"),
     (["env=Venture", "algo=ppo", "algo.eta=1"], "no intrinsic reward"),
+    (["env=Venture", "algo=ppo", "algo.signal=e3b"], "algo=ppo has no encoder"),
+    ([*VENTURE, "algo.objective=vicreg"], "algo=snd_std is a cell with its own"),
+    (["env=Venture", "algo=grid", "algo.signal=e3b"], "needs both"),
+    (
+        ["env=Venture", "algo=grid", "algo.signal=novel", "algo.objective=byol"],
+        "did you mean noveld",
+    ),
+    (["env=Venture", "algo=grid", "algo.signal=re3", "algo.objective=vic"], "did you mean vicreg"),
+    (["env=Venture", "algo=icm", "algo.pairing=relu"], "no network that copies"),
+    ([*VENTURE, "algo.gradient=detached"], "no forward loss"),
+    ([*VENTURE, "ppo.published_mask=true"], "algo=ppo alone"),
+    ([*VENTURE, "algo.module=x.py:f"], "goes with algo=module"),
+    (["env=Venture", "algo=module"], "goes with algo=module"),
+    (["env=Venture", "algo.module=x.py"], "write FILE.py:FUNCTION"),
+    (["env=Venture", "algo.module=/no/x.py:f"], "there is no file /no/x.py"),
+    (["env=gymnasium", "algo=rnd"], "env=gymnasium needs a task"),
     ([*VENTURE, "ppo.ext_weight=0", "ppo.int_weight=0"], "nothing to learn from"),
 ]
 

@@ -6,7 +6,7 @@ import pytest
 
 from experiments.catalogue import envpool, family_of
 from experiments.config import load
-from experiments.environments import Pool, Vectors, gym, seeds_of
+from experiments.environments import Vectors, gym, make_pool, seeds_of
 from experiments.options import ConfigError, EnvConfig
 from sndjax.rollout import push
 
@@ -17,7 +17,7 @@ def config(name, *more):
 
 def test_stacks_built_from_single_frames_are_envpools_own_across_resets():
     env = config("Venture", "env.options.max_episode_steps=13")
-    pool = Pool(env, [3], 4)
+    pool = make_pool(env, [3], 4)
     theirs = envpool.make(
         env.id,
         env_type="gymnasium",
@@ -43,7 +43,7 @@ def test_stacks_built_from_single_frames_are_envpools_own_across_resets():
 def test_procgen_stacks_begin_with_zeros():
     env = config("Climber")
     assert (env.stack, env.repeat_first) == (2, False)
-    pool = Pool(env, [0], 2)
+    pool = make_pool(env, [0], 2)
     frame = pool.reset()[0]
     assert frame.shape == (2, 64, 64, 3)
     old = jnp.full((2, *frame.shape), 9, jnp.uint8)
@@ -53,7 +53,7 @@ def test_procgen_stacks_begin_with_zeros():
 
 
 def test_reset_rows_follow_done_rows_and_carry_no_reward():
-    pool = Pool(config("MountainCar"), [0, 1], 5)
+    pool = make_pool(config("MountainCar"), [0, 1], 5)
     pool.reset()
     rng, was_done, ends = np.random.default_rng(0), np.zeros((2, 5), bool), 0
     for _ in range(450):
@@ -69,7 +69,7 @@ def test_reset_rows_follow_done_rows_and_carry_no_reward():
 
 
 def test_mountain_car_pays_at_the_goal_alone():
-    pool = Pool(config("MountainCar"), [0], 1)
+    pool = make_pool(config("MountainCar"), [0], 1)
     frame = pool.reset()
     goals = 0
     for _ in range(1000):  # swing with the velocity: the known way up
@@ -85,12 +85,12 @@ def test_mountain_car_pays_at_the_goal_alone():
 
 
 def test_atari_reward_is_the_sign_of_the_score_and_rooms_come_from_ram():
-    pool = Pool(config("MontezumaRevenge"), [0], 2)
+    pool = make_pool(config("MontezumaRevenge"), [0], 2)
     assert pool.num_actions == 18
     pool.reset()
     step = pool.step(np.zeros((1, 2)))
     assert step.room.tolist() == [[1, 1]]  # the first room is number 1
-    pong = Pool(config("envpool", "env.id=Pong-v5"), [0], 8)
+    pong = make_pool(config("envpool", "env.id=Pong-v5"), [0], 8)
     pong.reset()
     rewards, scores = [], []
     for _ in range(120):
@@ -105,13 +105,13 @@ def test_seeds_share_no_stream_and_a_resumed_run_begins_new_ones():
     streams = [seeds_of(seed, 8, start) for seed in (0, 1) for start in (0, 50)]
     assert len({s for stream in streams for s in stream}) == 32
     assert seeds_of(0, 8, 0) == seeds_of(0, 16, 0)[:8]
-    frames = [Pool(config("MountainCar"), [seed], 3).reset()[0] for seed in (0, 0, 1)]
+    frames = [make_pool(config("MountainCar"), [seed], 3).reset()[0] for seed in (0, 0, 1)]
     np.testing.assert_array_equal(frames[0], frames[1])
     assert np.all(frames[0][:, 0] != frames[2][:, 0])
 
 
 def test_a_seed_has_the_same_environments_alone_and_among_others():
-    alone, together = (Pool(config("Venture"), seeds, 2) for seeds in ([7], [6, 7]))
+    alone, together = (make_pool(config("Venture"), seeds, 2) for seeds in ([7], [6, 7]))
     frames = [alone.reset()[0], together.reset()[1]]
     for _ in range(30):
         np.testing.assert_array_equal(*frames)
@@ -131,7 +131,7 @@ def test_a_seed_has_the_same_environments_alone_and_among_others():
     ],
 )
 def test_other_tasks_are_read_as_vectors(task, size, unbounded):
-    pool = Pool(config("envpool", f"env.id={task}"), [0], 3)
+    pool = make_pool(config("envpool", f"env.id={task}"), [0], 3)
     assert pool.shape == (size,)
     assert tuple(np.nonzero(pool.unbounded)[0]) == unbounded
     frame = pool.reset()
@@ -170,4 +170,72 @@ def test_tasks_are_refused_by_name():
     with pytest.raises(ConfigError, match=r"Pendulum-v1 has Box actions of shape \(1,\)"):
         family_of("Pendulum-v1")
     with pytest.raises(ConfigError, match="cannot make Pong-v5"):
-        Pool(EnvConfig(name="x", id="Pong-v5", options={"no_such_option": 1}), [0], 1)
+        make_pool(EnvConfig(name="x", id="Pong-v5", options={"no_such_option": 1}), [0], 1)
+
+
+class Corridor(gym.Env):
+    """A user's own environment: walk right to the end; an image if asked."""
+
+    def __init__(self, image=False, actions=None):
+        self.image = image
+        self.action_space = actions or gym.spaces.Discrete(2, start=1)
+        box = gym.spaces.Box
+        self.observation_space = (
+            box(0, 255, (40, 48, 3), np.uint8) if image else box(0, 5, (1,), np.float32)
+        )
+
+    def look(self):
+        if not self.image:
+            return np.array([self.at], np.float32)
+        return np.full((40, 48, 3), 10 * self.at, np.uint8)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.at = 0
+        return self.look(), {}
+
+    def step(self, action):
+        assert action in (1, 2)
+        self.at += int(action == 2)
+        return self.look(), float(self.at == 5), self.at == 5, False, {}
+
+
+gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=8)
+
+
+@pytest.mark.parametrize("image", [False, True])
+def test_a_users_own_environment_through_gymnasium(image):
+    """Against a plain loop over one environment, across ends and resets."""
+    env = config("gymnasium", "env.id=Corridor-v0", f"env.options.image={image}")
+    pool = make_pool(env, [0, 1], 3)
+    assert pool.num_actions == 2
+    assert pool.shape == ((40, 48, 3) if image else (1,))
+    frame, rng = pool.reset(), np.random.default_rng(0)
+    at, age = np.zeros((2, 3)), np.zeros((2, 3))
+    ended = np.zeros((2, 3), bool)
+    look = lambda: frame[..., 0, 0, 0] / 10 if image else (frame[..., 0] + 1) * 2.5
+    for _ in range(60):
+        np.testing.assert_allclose(look(), at)
+        action = rng.integers(0, 2, (2, 3))
+        step = pool.step(action)
+        frame = step.frame
+        at, age = np.where(ended, 0, at + action), np.where(ended, 0, age + 1)
+        np.testing.assert_array_equal(step.valid, ~ended)
+        np.testing.assert_array_equal(step.reward, (at == 5) & ~ended)
+        limit = (age == 8) & (at < 5)
+        np.testing.assert_array_equal(step.truncated, (age == 8) & ~ended)
+        ended = ((at == 5) | limit) & ~ended
+        np.testing.assert_array_equal(step.done, ended)
+    assert step.room is None
+    pool.close()
+
+
+def test_gymnasium_tasks_are_refused_by_name():
+    with pytest.raises(ConfigError, match="did you mean CartPole-v1"):
+        make_pool(config("gymnasium", "env.id=CartPol-v1"), [0], 2)
+    with pytest.raises(ConfigError, match="Box actions"):
+        make_pool(config("gymnasium", "env.id=Pendulum-v1"), [0], 2)
+    with pytest.raises(ConfigError, match="gymnasium cannot make CartPole-v1"):
+        make_pool(config("gymnasium", "env.id=CartPole-v1", "env.options.wrong=1"), [0], 2)
+    with pytest.raises(ConfigError, match="gymnasium cannot make no_such_package:X-v0"):
+        make_pool(config("gymnasium", "env.id=no_such_package:X-v0"), [0], 2)
