@@ -5,6 +5,7 @@ nothing computed: a figure of the equations and the networks, the same on every 
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,10 @@ from sndjax.algorithms import NAMED
 from sndjax.grid import OBJECTIVES, SIGNALS
 
 STEPS, ENVS = 128, 128
-INPUTS = {"Atari": (sndjax.ATARI, (96, 96, 1), 4, 18), "Procgen": (sndjax.PROCGEN, (64, 64, 3), 2, 15)}  # fmt: skip
+INPUTS = {  # network sizes, a frame, frames in a stack, actions
+    "Atari": (sndjax.ATARI, (96, 96, 1), 4, 18),
+    "Procgen": (sndjax.PROCGEN, (64, 64, 3), 2, 15),
+}
 
 
 def giga_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
@@ -28,9 +32,9 @@ def giga_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
         motivation,
         sndjax.Stack(stack),
     )
-    of = jax.ShapeDtypeStruct
+    of: Any = jax.ShapeDtypeStruct  # stands for an array
     frame = lambda *rows: of((*rows, *shape), jnp.uint8)
-    key = jax.eval_shape(lambda: jax.random.key(0))
+    key: Any = jax.eval_shape(lambda: jax.random.key(0))
     state = jax.eval_shape(partial(sndjax.init, agent), key, frame(ENVS))
     rows = (STEPS, ENVS)
     flag, number = of(rows, bool), of(rows, jnp.float32)
@@ -48,17 +52,17 @@ def giga_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
     return count / 1e9
 
 
-def table() -> list[tuple[str, float, float]]:
+def table() -> list[tuple[str, list[float]]]:
     """Every named algorithm, every objective with distillation, every signal on VICReg."""
     lines = []
-    makers = dict(NAMED)
+    makers: dict[str, Any] = dict(NAMED)
     makers |= {f"{o} x distillation": partial(sndjax.grid, o, "distillation") for o in OBJECTIVES}
     makers |= {f"vicreg x {s}": partial(sndjax.grid, "vicreg", s) for s in SIGNALS}
     for name, make in makers.items():
         costs = []
         for kind, (size, _, _, actions) in INPUTS.items():
             costs.append(giga_per_step(make(actions, size) if make else None, kind))
-        lines.append((name, *costs))
+        lines.append((name, costs))
     return lines
 
 
@@ -66,9 +70,9 @@ def main() -> None:
     """Print the table."""
     print(f"{'':<32}{'Atari':>18}{'Procgen':>20}")
     print(f"{'':<32}" + f"{'GFLOP/step':>12}{'x PPO':>8}" * 2)
-    base: tuple[float, ...] = ()
-    for name, *costs in table():
-        base = base or tuple(costs)
+    base: list[float] = []
+    for name, costs in table():
+        base = base or costs
         cells = zip(costs, base, strict=True)
         print(f"{name:<32}" + "".join(f"{c:>12.3f}{c / b:>8.2f}" for c, b in cells), flush=True)
 

@@ -1,31 +1,21 @@
 """The typed configuration: every option with its default, its range and its meaning."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from omegaconf import MISSING
 
-# The names of the grid, as `sndjax.grid` has them; here too, since it imports jax.
-OBJECTIVES = (
-    "none",
-    "contrastive",
-    "st_dim",
-    "vicreg",
-    "vicreg_inverse",
-    "inverse_dynamics",
-    "barlow_twins",
-    "byol",
-)
-SIGNALS = (
-    "distillation",
-    "prediction",
-    "disagreement",
-    "re3",
-    "simhash",
-    "noveld",
-    "e3b",
-    "ngu",
-)
+LIBRARY = Path(__file__).parents[1] / "sndjax"
+
+
+def files(room: str) -> tuple[str, ...]:
+    """What there is in a room of the library: one file, one thing of its name. No jax needed."""
+    return tuple(sorted(p.stem for p in (LIBRARY / room).glob("*.py") if p.stem != "__init__"))
+
+
+OBJECTIVES = ("none", *files("objectives"))
+SIGNALS = files("signals")
 COPYING = ("distillation", "noveld", "ngu")  # signals with a learned network
 
 

@@ -30,7 +30,7 @@ from sndjax.objectives.contrastive import contrastive, contrastive_loss
 from sndjax.objectives.inverse_dynamics import inverse_dynamics, inverse_dynamics_loss
 from sndjax.objectives.st_dim import st_dim, st_dim_loss
 from sndjax.objectives.vicreg import vicreg, vicreg_loss
-from sndjax.objectives.weighted_sum import weighted_sum
+from sndjax.objectives.vicreg_inverse import vicreg_inverse
 from sndjax.ppo import Hyperparameters, clipped_surrogate
 from sndjax.returns import generalized_advantage
 from sndjax.rollout import Stack, transitions
@@ -60,6 +60,7 @@ from sndjax.types import (
     View,
 )
 from sndjax.version import __version__
+from sndjax.weighted_sum import weighted_sum
 
 __all__ = [
     "ATARI",
@@ -139,6 +140,7 @@ __all__ = [
     "st_dim_loss",
     "transitions",
     "vicreg",
+    "vicreg_inverse",
     "vicreg_loss",
     "weighted_sum",
 ]

@@ -5,26 +5,16 @@ ran; `sndjax/algorithms.py` names the cells of the thesis.
 """
 
 from collections.abc import Callable
+from functools import partial
+from inspect import isfunction
+from types import ModuleType
 from typing import Any, Literal, NamedTuple
 
+from sndjax import objectives, signals
 from sndjax.module import compose
 from sndjax.networks import ATARI, ROOT_2, Architecture, Encoder
-from sndjax.objectives.barlow_twins import barlow_twins
-from sndjax.objectives.byol import byol
-from sndjax.objectives.contrastive import contrastive
-from sndjax.objectives.inverse_dynamics import inverse_dynamics
-from sndjax.objectives.st_dim import st_dim
-from sndjax.objectives.vicreg import vicreg
-from sndjax.objectives.weighted_sum import weighted_sum
 from sndjax.preprocessing import Preprocess
-from sndjax.signals.disagreement import disagreement
-from sndjax.signals.distillation import distillation
-from sndjax.signals.e3b import e3b
-from sndjax.signals.ngu import ngu
-from sndjax.signals.noveld import noveld
-from sndjax.signals.prediction import Gradient, prediction
-from sndjax.signals.re3 import re3
-from sndjax.signals.simhash import simhash
+from sndjax.signals.prediction import Gradient
 from sndjax.types import IntrinsicModule, Objective, Signal
 
 # "elu" or "relu" throughout; "published": what the experiments ran, see `Recipe`.
@@ -43,31 +33,37 @@ class Recipe(NamedTuple):
     learned_gain: float = ROOT_2
     published: Literal["elu", "relu"] = "relu"  # after convolutions; linear layers are ELU
     distillation: dict[str, Any] = {}  # noqa: RUF012 - read only
-    wider: bool = False  # the learned network's last convolution is `last_learned`
+    wider: bool = True  # the learned network's last convolution is `last_learned`
 
 
-OBJECTIVES: dict[str, Recipe] = {
+def exported(package: ModuleType) -> dict[str, Callable[..., Any]]:
+    """The constructors that a package exports, by name."""
+    return {name: value for name, value in vars(package).items() if isfunction(value)}
+
+
+def plain(make: Callable[[], Signal], learned: Encoder, how: dict[str, Any], gradient: Gradient):
+    """A signal that needs none of what surrounds it."""
+    return make()
+
+
+PUBLISHED: dict[str, Recipe] = {
     "none": Recipe(None, "rnd", ROOT_2, ROOT_2, "elu", {"reading": "half_sum", "keep": 0.25}),
-    "contrastive": Recipe(contrastive, "snd_v", ROOT_2, ROOT_2, "elu", {"keep": 0.25}),
-    "st_dim": Recipe(st_dim, learned_gain=0.5, distillation={"reduction": "sum"}),
-    "vicreg": Recipe(vicreg, wider=True),
-    "vicreg_inverse": Recipe(
-        lambda: weighted_sum((1, vicreg()), (1 / 2, inverse_dynamics(1 / 2))), wider=True
+    "contrastive": Recipe(objectives.contrastive, "snd_v", ROOT_2, ROOT_2, "elu", {"keep": 0.25}),
+    "st_dim": Recipe(
+        objectives.st_dim, learned_gain=0.5, distillation={"reduction": "sum"}, wider=False
     ),
-    "inverse_dynamics": Recipe(inverse_dynamics, gain=ROOT_2),
-    "barlow_twins": Recipe(barlow_twins, wider=True),
-    "byol": Recipe(byol, wider=True),
+    "inverse_dynamics": Recipe(objectives.inverse_dynamics, gain=ROOT_2, wider=False),
 }
+# Every objective there is; those without a recipe of their own are surrounded like VICReg.
+OBJECTIVES = {name: Recipe(make) for name, make in exported(objectives).items()} | PUBLISHED
 # What reads the signal off an encoder, given the network that copies it and its reductions.
 SIGNALS: dict[str, Callable[[Encoder, dict[str, Any], Gradient], Signal]] = {
-    "distillation": lambda learned, how, gradient: distillation(learned, **how),
-    "prediction": lambda learned, how, gradient: prediction(gradient=gradient),
-    "disagreement": lambda learned, how, gradient: disagreement(),
-    "re3": lambda learned, how, gradient: re3(),
-    "simhash": lambda learned, how, gradient: simhash(),
-    "noveld": lambda learned, how, gradient: noveld(learned, **how),
-    "e3b": lambda learned, how, gradient: e3b(),
-    "ngu": lambda learned, how, gradient: ngu(learned, **how),
+    name: partial(plain, make) for name, make in exported(signals).items()
+} | {
+    "distillation": lambda learned, how, gradient: signals.distillation(learned, **how),
+    "noveld": lambda learned, how, gradient: signals.noveld(learned, **how),
+    "ngu": lambda learned, how, gradient: signals.ngu(learned, **how),
+    "prediction": lambda learned, how, gradient: signals.prediction(gradient=gradient),
 }
 COPYING = ("distillation", "noveld", "ngu")  # signals with a learned network
 
@@ -89,7 +85,7 @@ def networks(
         "snd_v": size.snd_v_convolutions(),
     }[recipe.convolutions]
     learned_layers = layers
-    if recipe.wider and pairing == "asymmetric":
+    if recipe.wider and recipe.convolutions == "strided" and pairing == "asymmetric":
         learned_layers = size.convolutions(size.last_learned)
     if pairing == "relu":
         activation = "relu"

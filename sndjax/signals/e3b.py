@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from sndjax.signals.hashing import random_projection
+from sndjax.hashing import random_projection
 from sndjax.signals.prediction import features_of_all
 from sndjax.types import Rollout, Signal
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from sndjax.hashing import random_projection
 from sndjax.networks import Encoder
 from sndjax.signals.distillation import distillation, novelty_of_all
-from sndjax.signals.hashing import random_projection
 from sndjax.signals.prediction import features_of_all
 from sndjax.statistics import deviation, no_moments, update_moments
 from sndjax.types import Moments, Rollout, Signal

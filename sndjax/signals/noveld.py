@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from sndjax.hashing import random_projection, simhash_code
 from sndjax.networks import Encoder
 from sndjax.signals.distillation import distillation, novelty_of_all
-from sndjax.signals.hashing import random_projection, simhash_code
 from sndjax.signals.prediction import features_of_all
 from sndjax.types import Rollout, Signal
 

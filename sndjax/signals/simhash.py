@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sndjax.signals.hashing import random_projection, simhash_code
+from sndjax.hashing import random_projection, simhash_code
 from sndjax.signals.prediction import features_of_all
 from sndjax.types import Signal
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax.signals.hashing import random_projection, simhash_code
+from sndjax.hashing import random_projection, simhash_code
 
 
 @settings(deadline=None, max_examples=20)

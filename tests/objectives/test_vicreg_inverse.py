@@ -7,9 +7,9 @@ from sndjax import (
     Features,
     Transition,
     byol,
-    inverse_dynamics,
     inverse_dynamics_loss,
     vicreg,
+    vicreg_inverse,
     vicreg_loss,
     weighted_sum,
 )
@@ -22,7 +22,7 @@ def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
     z, z_next = (jnp.asarray(rng.normal(size=(6, 8)).astype(np.float32)) for _ in range(2))
     features, valid = Features(z, z_next, None, None), jnp.arange(6) < 5
     action = jnp.array([0, 1, 2, 0, 1, 2])
-    vinv = weighted_sum((1, vicreg()), (1 / 2, inverse_dynamics(1 / 2)))
+    vinv = vicreg_inverse()
     params = vinv.init(jax.random.key(0), features, 3)
     batch = Transition(None, action, None, None, None, valid)
     got, metrics = vinv.loss(params, None, features, batch, None, jax.random.key(1))
