@@ -21,7 +21,7 @@ def play(table, key):
     return jax.lax.scan(step, jnp.zeros(ENVS, jnp.int32), jax.random.split(key, STEPS))[1]
 
 
-def train(eta, seed=0, iterations=250):
+def train(eta, seed=0, iterations=150):
     """The share of corridors whose end is reached in the last episode."""
     module = sndjax.snd_vic(num_actions=2, size=sndjax.VECTOR)
     params, state = module.init(jax.random.key(seed), look(jnp.zeros(ENVS, jnp.int32)))

@@ -41,8 +41,10 @@ class Directory:
         try:
             fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
+            self.close()
             raise ConfigError(f"run directory {self.path} is in use by another run") from None
         if not self.resumed and any(entry.name != LOCK for entry in self.path.iterdir()):
+            self.close()
             raise ConfigError(self.not_empty())
 
     def not_empty(self) -> str:
@@ -63,6 +65,9 @@ class Directory:
             for entry in self.path.iterdir():
                 shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
             self.unmake()
+
+    def close(self) -> None:
+        """Let another run have the directory."""
         os.close(self.lock)
 
     def begin(self, config: Config, versions: dict[str, str]) -> None:

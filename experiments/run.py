@@ -66,6 +66,9 @@ def main(arguments: list[str] | None = None) -> int:
         return interrupted(directory, 130)
     except Interrupted as stopped:
         return interrupted(directory, stopped.status)
+    finally:
+        if directory is not None:
+            directory.close()
     return 0
 
 

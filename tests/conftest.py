@@ -20,10 +20,18 @@ def forget_compilations():
 
 
 @pytest.fixture(scope="module")
-def native_convolutions():
-    """They compile in half the time; test_convolution.py holds both lowerings equal."""
+def quick_compilation():
+    """Programs that compile in a third of the time, for tests that look at other things.
+
+    Native convolutions for ours (test_convolution.py holds both equal), normal weights for
+    orthogonal ones (test_networks.py looks at those).
+    """
+    import flax.linen as nn
+
     from sndjax import convolution
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(convolution, "convolve_patches", convolution.convolve_native)
+        normal = lambda gain: nn.initializers.variance_scaling(gain**2, "fan_in", "normal")
+        patch.setattr(nn.initializers, "orthogonal", normal)
         yield

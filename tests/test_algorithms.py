@@ -12,7 +12,7 @@ from sndjax.algorithms import NAMED
 from sndjax.grid import OBJECTIVES, cell
 
 MODULES = {name: make for name, make in NAMED.items() if make is not None}
-pytestmark = pytest.mark.usefixtures("native_convolutions")
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 VECTOR = KINDS[2]
 CELLS = {
     "snd_v": ("contrastive", "distillation"),

@@ -9,7 +9,7 @@ import pytest
 from experiments.run import main
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-SMALL = ["num_envs=8", "rollout_length=32", "ppo.minibatch_size=64", "algo.minibatch_size=64"]
+SMALL = ["rollout_length=32", "ppo.minibatch_size=64", "algo.minibatch_size=64"]
 
 
 def load(name):
@@ -38,7 +38,14 @@ def test_they_are_as_short_as_they_claim():
 def test_a_new_objective_is_used_from_the_command_line_and_learns(tmp_path, monkeypatch):
     monkeypatch.chdir(EXAMPLES.parent)
     bonus = "algo.module=examples/my_bonus.py:my_bonus"
-    arguments = ["env=MountainCar", bonus, *SMALL, "total_steps=5120", f"run_dir={tmp_path / 'r'}"]
+    arguments = [
+        "env=MountainCar",
+        bonus,
+        *SMALL,
+        "num_envs=8",
+        "total_steps=5120",
+        f"run_dir={tmp_path / 'r'}",
+    ]
     assert main(arguments) == 0
     entries = metrics(tmp_path / "r")
     assert entries[-1]["info_nce"] < entries[0]["info_nce"]
@@ -53,10 +60,11 @@ def test_an_environment_of_ones_own_trains(image, tmp_path, monkeypatch):
     monkeypatch.chdir(EXAMPLES.parent)
     arguments = [
         "env=gymnasium", "env.id=examples.own_environment:Corridor-v0", "algo=snd_vic", *SMALL,
-        "total_steps=512", f"env.options.image={image}", f"run_dir={tmp_path / 'r'}",
+        "num_envs=2", f"env.options.image={image}", f"run_dir={tmp_path / 'r'}", "total_steps=128",
+        "ppo.epochs=1",
     ]  # fmt: skip
     assert main(arguments) == 0
     entries = metrics(tmp_path / "r")
-    assert [entry["step"] for entry in entries] == [256, 512]
-    assert entries[-1]["transitions"] == 512 - 8  # each corridor reset once, at its limit of 60
-    assert entries[-1]["episodes"] == 8
+    assert [entry["step"] for entry in entries] == [64, 128]
+    assert entries[-1]["transitions"] == 128 - 2  # each corridor reset once, at its limit of 60
+    assert entries[-1]["episodes"] == 2

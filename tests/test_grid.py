@@ -1,7 +1,6 @@
 """One suite over every objective x signal x kind of input, at toy size."""
 
 import functools
-import zlib
 from typing import NamedTuple
 
 import jax
@@ -23,7 +22,7 @@ CROSS = [(o, "distillation") for o in OBJECTIVES] + [
     ("vicreg", s) for s in SIGNALS if s != "distillation"
 ]
 
-pytestmark = pytest.mark.usefixtures("native_convolutions")
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 every_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 every_cell = pytest.mark.parametrize(
     ("objective", "signal"), [(o, s) for o in OBJECTIVES for s in SIGNALS]
@@ -41,33 +40,11 @@ class Case(NamedTuple):
     step: object  # (params, optimizer state, moves, rows, key): one Adam step of chosen parts
 
 
-def drawn(shapes):
-    """Parameters of the given shapes, normal over the root of their fan-in, no two alike.
-
-    Compiling the orthogonal start of 192 cells would take minutes; test_networks.py and
-    test_algorithms.py look at it. The same part of two cells gets the same weights.
-    """
-
-    def leaf(path, x):
-        rng = np.random.default_rng(zlib.crc32(jax.tree_util.keystr(path).encode()))
-        fan_in = max(1, int(np.prod(x.shape[-2:-1])) if x.ndim < 4 else int(np.prod(x.shape[:-1])))
-        return jnp.asarray((rng.normal(size=x.shape) / np.sqrt(fan_in)).astype(x.dtype))
-
-    return jax.tree_util.tree_map_with_path(leaf, shapes)
-
-
 @functools.lru_cache(maxsize=1)
 def case(objective, signal, kind):
     module = grid(objective, signal, kind.actions, kind.size)
     batch = rollout(kind, np.random.default_rng(0))
-    params, state = jax.eval_shape(module.init, jax.random.key(0), batch.frames[0])
-    encoder = drawn(state["encoder"])
-    params = drawn(params)
-    state = jax.jit(lambda key, x: module.init(key, x)[1] | {"encoder": None, "slow": None})(
-        jax.random.key(0), batch.frames[0]
-    ) | {"encoder": encoder, "slow": None}
-    if objective == "byol":
-        state["slow"] = {name: params[name] for name in ("encoder", "objective")}
+    params, state = jax.jit(module.init)(jax.random.key(0), batch.frames[0])
     adam = optax.adam(3e-3)
 
     @jax.jit
