@@ -1,11 +1,12 @@
 # make demo   train PPO and SND-VIC on MountainCar and draw both learning curves
 # make test   the test suite
+# make test-all  every cell of the grid on every kind of input too (half an hour)
 # make check  formatter, linter and type checker
 # make .venv  the environment alone; PYTHON=python3.12 picks another Python
 PYTHON ?= python3
 RUN := .venv/bin/python
 
-.PHONY: .venv demo test check format
+.PHONY: .venv demo test test-all check format
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
@@ -17,6 +18,9 @@ demo: .venv/.complete
 
 test: .venv/.complete
 	@$(RUN) -m pytest -n 2 --dist worksteal
+
+test-all: .venv/.complete
+	@$(RUN) -m pytest -n 2 --dist worksteal -m ""
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

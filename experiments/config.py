@@ -121,6 +121,9 @@ def load(arguments: list[str]) -> Config:
     if env in BY_ID and "env.id" not in overrides:
         example = {"envpool": "Pong-v5", "gymnasium": "CartPole-v1"}[env]
         raise ConfigError(f"env={env} needs a task: env.id={example}, say")
+    for key in ("env.id", "env.suite"):
+        if key in overrides and env not in BY_ID:
+            raise ConfigError(f"{key}: env={env} has its own; take env=envpool or env=gymnasium")
     if "env.id" in overrides and env != "gymnasium":
         from experiments.catalogue import family_of  # imports envpool
 
@@ -149,6 +152,10 @@ def check_algorithm(overrides: dict[str, Override]) -> None:
             f"algo=ppo has no encoder, so {given[0]} means nothing; take algo=grid "
             f"algo.objective=NAME algo.signal=NAME, objectives being {known}"
         )
+    unused = {"ppo.int_weight", "ppo.gamma_int", "ppo.episodic_int"}
+    unused |= {k for k in overrides if k.startswith("algo.")} - {"algo.eta"}
+    if algo == "ppo" and unused & set(overrides):
+        raise ConfigError(f"{min(unused & set(overrides))}: algo=ppo has no intrinsic reward")
     if given and algo != "grid":
         raise ConfigError(f"{given[0]}: algo={algo} is a cell with its own; take algo=grid")
     if algo == "grid" and len(given) < 2:
@@ -168,6 +175,8 @@ def function_of(module: str) -> str:
         raise ConfigError(f"algo.module={module}: write FILE.py:FUNCTION")
     if not Path(path).is_file():
         raise ConfigError(f"algo.module={module}: there is no file {path}")
+    if name in choices("algo"):
+        raise ConfigError(f"algo.module={module}: {name} is an algorithm; call yours otherwise")
     return name
 
 
@@ -203,6 +212,11 @@ def resumed(overrides: dict[str, Override]) -> Config:
         raise ConfigError(
             "resume: the run is of a bonus that is code, and no stored file may name code; "
             f"say algo.module={stored.algo.module} again if you trust it"
+        )
+    if stored.env.suite == "gymnasium" and ":" in stored.env.id and "env.id" not in overrides:
+        raise ConfigError(
+            "resume: the run's task names a Python module, and no stored file may name code; "
+            f"say env.id={stored.env.id} again if you trust it"
         )
     for key, override in overrides.items():
         if key == "run_dir":

@@ -1,4 +1,4 @@
-"""python -m experiments.cost: what every cell's products and convolutions cost, against PPO's.
+"""python -m experiments.cost: what the cells' products and convolutions cost, against PPO's.
 
 Counted from the program of a whole update and of acting at the thesis configuration, with
 nothing computed: a figure of the equations and the networks, the same on every machine.

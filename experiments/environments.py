@@ -79,6 +79,11 @@ class Vectors:
         if isinstance(space, gym.spaces.MultiBinary):
             size = int(np.prod(space.shape))
             return np.zeros(size), np.ones(size)
+        if not isinstance(space, gym.spaces.Box):
+            raise ConfigError(
+                f"observations of {type(space).__name__} cannot be read; only Box, Discrete, "
+                "MultiBinary and Dict of these"
+            )
         return space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
 
     def read(self, observation: Any) -> np.ndarray:
@@ -209,7 +214,9 @@ class GymnasiumPool(Pool):
         if "" not in sys.path:
             sys.path.insert(0, "")  # env.id=my_file:MyTask-v0 is looked for here first
         try:
-            self.envs = gym.make_vec(config.id, num_envs=count, **config.options)
+            # Not a task's own vector form: those differ in what they take and how they reset.
+            options = {"vectorization_mode": "sync"} | config.options
+            self.envs = gym.make_vec(config.id, num_envs=count, **options)
         except gym.error.NameNotFound:
             raise unknown("gymnasium task", config.id, gym.registry) from None
         except Exception as error:  # a user's environment may raise anything

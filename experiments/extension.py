@@ -1,6 +1,7 @@
 """A bonus of the user's own: the function in a Python file that the command line names."""
 
 import importlib.util
+import sys
 from typing import Any
 
 from experiments.config import function_of
@@ -21,6 +22,7 @@ def load_module(reference: str, num_actions: int, size: Architecture) -> Intrins
     assert spec is not None
     assert spec.loader is not None
     loaded: Any = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = loaded  # dataclasses look their module up there
     try:
         spec.loader.exec_module(loaded)
         if not callable(getattr(loaded, name, None)):
@@ -28,7 +30,7 @@ def load_module(reference: str, num_actions: int, size: Architecture) -> Intrins
         made = getattr(loaded, name)(num_actions, size)
     except ConfigError:
         raise
-    except Exception as error:  # the user's code may raise anything
+    except (Exception, SystemExit) as error:  # the user's code may raise anything
         kind = type(error).__name__
         where = line_of(error, path)
         raise ConfigError(f"algo.module={reference}: {kind}{where}: {error}") from None

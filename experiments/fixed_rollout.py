@@ -2,7 +2,7 @@
 
 Collects one real rollout with the policy as it starts, then lets the motivation module alone
 learn from it for ten updates. Whether a module learns at all is seen here, with nothing else
-moving. Takes every option of `experiments.run`.
+moving. Takes the options of `experiments.run` that make an agent and its environments.
 """
 
 import sys
@@ -45,6 +45,8 @@ def main(arguments: list[str]) -> int:
         config = load(arguments)
         if config.algo.name == "ppo":
             raise ConfigError("algo=ppo has no module that learns")
+        if config.resume or config.run_dir or config.num_seeds > 1:
+            raise ConfigError("one fresh agent and no run directory: no resume, run_dir, num_seeds")
         keep_compilations()
         agent, state, batch = rollout_of(config)
     except ConfigError as error:

@@ -9,7 +9,7 @@ import sys
 import warnings
 
 from experiments.config import help_text, load
-from experiments.directory import Directory
+from experiments.directory import CONFIG, Directory
 from experiments.interrupts import Interrupted
 from experiments.options import ConfigError
 from experiments.process import before_jax
@@ -23,7 +23,8 @@ def refuse(error: object) -> int:
 
 def interrupted(directory: Directory | None, status: int) -> int:
     """Say how to go on."""
-    where = f"; go on with resume={directory.path}" if directory else ""
+    path = directory.path if directory else None
+    where = f"; go on with resume={path}" if path and (path / CONFIG).exists() else ""
     print(f"\nsndjax: interrupted{where}", file=sys.stderr)
     return status
 

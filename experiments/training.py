@@ -28,6 +28,7 @@ from experiments.records import Records
 from experiments.versions import versions
 from sndjax.algorithms import NAMED
 
+WIDE = ("re3", "e3b", "ngu")  # signals whose unit is not that of a squared feature
 CHECKPOINT_SECONDS = 300  # and at least this often, however long an iteration takes
 
 
@@ -172,6 +173,11 @@ class Run:
     def iterations(self, records: Records, progress: Progress, interrupts: Interrupts) -> None:
         """From the iteration the run stands at to its last."""
         config, rows = self.config, self.config.rows
+        if config.algo.signal in WIDE and config.algo.reward_scale == "none":
+            progress.say(
+                f"the signal {config.algo.signal} has no published scale: unless its share of "
+                "clipped rewards stays low, take algo.reward_scale=running_std"
+            )
         if self.start:
             progress.say(f"going on from iteration {self.start}; environments begin new episodes")
         progress.phase("compiling the policy")
@@ -196,8 +202,9 @@ class Run:
             collected = time.monotonic()
             if update is None:
                 progress.phase("compiling the update")
-                traced = self.train_step.trace(state, batch)
-                update = traced.lower().compile()
+                with interrupts.waiting():
+                    traced = self.train_step.trace(state, batch)
+                    update = traced.lower().compile()
                 expected = seconds(traced.jaxpr.jaxpr)
                 return_freed_memory()
                 progress.say(

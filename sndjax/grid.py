@@ -153,6 +153,8 @@ def grid(
 ) -> IntrinsicModule:
     """Any cell of the grid, by the names of its objective and its signal.
 
+    `rnd`, `icm` and `sp` add settings of their own to theirs, see `sndjax.algorithms`.
+
     Args:
       objective: a name in `OBJECTIVES`; "none" is a random encoder that stays as it is.
       signal: a name in `SIGNALS`.

@@ -4,7 +4,7 @@ import chex
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sndjax.statistics import expand, masked_mean, masked_sum, safe_sqrt, valid_count
+from sndjax.statistics import expand, masked_mean, masked_sum, valid_count
 from sndjax.types import Metrics, Objective
 
 
@@ -17,10 +17,10 @@ def barlow_twins_loss(
     """Barlow Twins over the n valid rows, on features normalised along the batch::
 
         L = sum_i (1 - C_ii)^2 + lambda sum_i sum_{j != i} C_ij^2                 (3.11)
-        C = 1/n sum_b z^_b z^'_b^T,  z^ = (z - mean) / deviation, the one with 1/n
+        C = 1/n sum_b z^_b z^'_b^T,  z^ = (z - mean) / sqrt(variance + 1e-5), the one with 1/n
 
-    A feature without any spread is 0 when normalised, and so is its gradient. (Zbontar et
-    al., 2021, whose lambda this is; consecutive states stand for their two views.)
+    The 1e-5 is batch normalisation's. (Zbontar et al., 2021, whose lambda this is;
+    consecutive states stand for their two views.)
 
     Args:
       z, z_next: features of s_t and of s_t+1.
@@ -28,7 +28,7 @@ def barlow_twins_loss(
       redundancy: lambda.
 
     >>> z = jnp.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]])
-    >>> barlow_twins_loss(z, z, jnp.ones(4, bool))[0]
+    >>> barlow_twins_loss(z, z, jnp.ones(4, bool))[0].round(6)
     Array(0., dtype=float32)
     """
     chex.assert_equal_shape([z, z_next])
@@ -37,8 +37,7 @@ def barlow_twins_loss(
     def normalised(z):
         centred = z - masked_mean(z, valid)[None]
         centred = jnp.where(expand(valid, z), centred, jnp.zeros_like(z))
-        deviation = safe_sqrt(masked_sum(centred**2, valid) / count)
-        return centred / jnp.where(deviation > 0, deviation, jnp.ones_like(deviation))[None]
+        return centred / jnp.sqrt(masked_sum(centred**2, valid) / count + 1e-5)[None]
 
     correlation = normalised(z).T @ normalised(z_next) / count
     own = jnp.eye(z.shape[1], dtype=bool)

@@ -230,7 +230,22 @@ def test_a_users_own_environment_through_gymnasium(image):
     pool.close()
 
 
+def test_gymnasiums_own_tasks_are_stepped_in_plain_form():
+    pool = make_pool(config("gymnasium", "env.id=CartPole-v1"), [0], 3)
+    frames = [make_pool(config("gymnasium", "env.id=CartPole-v1"), [s], 3).reset() for s in (0, 1)]
+    np.testing.assert_array_equal(pool.reset(), frames[0])
+    assert np.all(frames[0] != frames[1])
+    ended = np.zeros((1, 3), bool)
+    for _ in range(40):
+        step = pool.step(np.zeros((1, 3), int))
+        np.testing.assert_array_equal(step.valid, ~ended)
+        ended = step.done
+    assert step.frame.shape == (1, 3, 4)
+
+
 def test_gymnasium_tasks_are_refused_by_name():
+    with pytest.raises(ConfigError, match="observations of Tuple cannot be read"):
+        make_pool(config("gymnasium", "env.id=Blackjack-v1"), [0], 2)
     with pytest.raises(ConfigError, match="did you mean CartPole-v1"):
         make_pool(config("gymnasium", "env.id=CartPol-v1"), [0], 2)
     with pytest.raises(ConfigError, match="Box actions"):

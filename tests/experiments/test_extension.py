@@ -28,6 +28,7 @@ def test_the_functions_module_is_returned(tmp_path):
         ("def mine(n): return 3", "TypeError"),
         ("def mine(n, size):\n    return 1 / 0", "ZeroDivisionError in line 2: division by zero"),
         ("def mine(:", "SyntaxError"),
+        ("import sys\nsys.exit(0)", "SystemExit in line 2"),
         ("import no_such_package", "no_such_package"),
     ],
 )

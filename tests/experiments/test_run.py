@@ -255,7 +255,6 @@ def test_an_interrupted_run_stops_at_once_and_says_how_to_go_on(number, status, 
     assert "Traceback" not in err
 
 
-@pytest.mark.slow
 def test_novelty_alone_is_a_run_and_pixels_of_other_games_too(tmp_path):
     train(tmp_path / "car", *CAR, "algo=snd_vic", "ppo.ext_weight=0", "total_steps=256")
     train(

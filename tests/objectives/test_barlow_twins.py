@@ -15,7 +15,8 @@ def in_numpy(z, z_next, valid, redundancy=5e-3):
     width, total = z.shape[1], 0.0
     for i in range(width):
         for j in range(width):
-            c = np.corrcoef(z[:, i], z_next[:, j])[0, 1]
+            a, b = z[:, i] - z[:, i].mean(), z_next[:, j] - z_next[:, j].mean()
+            c = np.mean(a * b) / np.sqrt((a.var() + 1e-5) * (b.var() + 1e-5))
             total += (1 - c) ** 2 if i == j else redundancy * c**2
     return total
 
@@ -39,7 +40,7 @@ def test_runs_without_jit():
 
 
 @settings(deadline=None, max_examples=15)
-@given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3), st.floats(-5, 5))
+@given(st.integers(0, 2**32 - 1), st.floats(0.5, 1e3), st.floats(-5, 5))
 def test_scale_and_shift_of_a_view_and_order_of_rows_do_not_matter(seed, scale, shift):
     z, z_next, valid = case(seed)
     order = np.random.default_rng(seed).permutation(len(z))
@@ -50,13 +51,16 @@ def test_scale_and_shift_of_a_view_and_order_of_rows_do_not_matter(seed, scale, 
 
 def test_zero_on_equal_views_that_are_uncorrelated():
     z = np.random.default_rng(0).normal(size=(64, 6))
-    z = np.linalg.svd(z - z.mean(0), full_matrices=False)[0].astype(np.float32)
+    z = 8 * np.linalg.svd(z - z.mean(0), full_matrices=False)[0].astype(np.float32)
     loss = barlow_twins_loss(jnp.asarray(z), jnp.asarray(z), jnp.ones(64, bool))[0]
     np.testing.assert_allclose(loss, 0, atol=1e-6)
 
 
 def test_a_collapsed_view_costs_one_per_feature_and_has_finite_gradients():
-    z = jnp.ones((8, 3))
-    loss, gradient = jax.value_and_grad(lambda z: barlow_twins_loss(z, z, jnp.ones(8, bool))[0])(z)
-    np.testing.assert_allclose(loss, 3)
-    np.testing.assert_array_equal(gradient, 0)
+    """Rounding of the mean leaves a trace of spread, which must not be blown up."""
+    z, valid = jnp.full((412, 3), 0.1), jnp.ones(412, bool)
+    loss, gradient = jax.value_and_grad(lambda z: barlow_twins_loss(z, z, valid)[0])(z)
+    np.testing.assert_allclose(loss, 3, rtol=1e-4)
+    assert np.abs(gradient).max() < 0.1
+    library = np.random.default_rng(0).normal(size=(64, 3))
+    np.testing.assert_allclose(in_numpy(library, library, np.ones(64, bool), 0), 0, atol=1e-8)
