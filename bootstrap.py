@@ -82,6 +82,7 @@ def install(pip, title, *arguments):
         "ConnectTimeout",
         "No address",
         "timed out",
+        "(from versions: none)",
     )
     if any(sign in text for sign in network):
         stop("cannot reach the package index; connect to a network and say make .venv again")
