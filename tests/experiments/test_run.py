@@ -56,13 +56,18 @@ def without_clock(entries):
 
 
 FOUR = ["ppo", "rnd", "snd_std", "snd_vic"]
+DEFAULT = [*(f"algo={algo}" for algo in [*FOUR, "icm"]), "algo.signal=ngu", "algo.signal=re3"]
 RUNS = [(env, [f"algo={algo}"]) for env in ("Venture", "Coinrun") for algo in FOUR]
-RUNS += [("MountainCar", [f"algo={algo}"]) for algo in NAMED]
+GRID = ["algo=grid", "algo.objective=vicreg"]
 RUNS += [
-    ("MountainCar", ["algo=grid", "algo.objective=vicreg", f"algo.signal={signal}"])
-    for signal in SIGNALS
+    pytest.param(
+        "MountainCar", arguments, marks=() if arguments[-1] in DEFAULT else pytest.mark.exhaustive
+    )
+    for arguments in [
+        *([f"algo={algo}"] for algo in NAMED),
+        *([*GRID, f"algo.signal={signal}"] for signal in SIGNALS),
+    ]
 ]
-RUNS += [("Coinrun", ["algo=grid", "algo.objective=vicreg_inverse", "algo.signal=ngu"])]
 
 
 @pytest.mark.parametrize(
