@@ -222,7 +222,7 @@ def make_train_step(
     its minibatches) and the intrinsic rewards. It is pure: `jax.vmap` of it trains one
     agent per seed. Both minibatch sizes must divide T * N.
 
-    >>> from sndjax import VECTOR, Experience, Rollout
+    >>> from sndjax import VECTOR, ActorCritic, Experience, Rollout
     >>> agent = Agent(ActorCritic(VECTOR, 3, value_heads=1), ppo.Hyperparameters(minibatch_size=4))
     >>> state = init(agent, jax.random.key(0), jnp.zeros((2, 5)))
     >>> no, yes = jnp.zeros((4, 2), bool), jnp.ones((4, 2), bool)

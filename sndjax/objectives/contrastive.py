@@ -48,11 +48,11 @@ def draw_pairs(
     row twice. Where only one row is valid, far pairs are of that row too; with none, of row 0.
     """
     key_one, key_other = jax.random.split(key)
-    rank = jnp.cumsum(valid)
+    rank = jnp.cumsum(valid, dtype=jnp.int32)
     count = jnp.maximum(rank[-1], 1)
     row = lambda k: jnp.minimum(jnp.searchsorted(rank, k + 1), valid.shape[0] - 1)
-    one = jax.random.randint(key_one, (pairs,), 0, count)
-    step = jax.random.randint(key_other, (pairs,), 1, jnp.maximum(count, 2))
+    one = jax.random.randint(key_one, (pairs,), 0, count, jnp.int32)
+    step = jax.random.randint(key_other, (pairs,), 1, jnp.maximum(count, 2), jnp.int32)
     far = jnp.arange(pairs) < (pairs + 1) // 2
     return row(one), row(jnp.where(far, (one + step) % count, one)), far
 
@@ -67,8 +67,9 @@ def augment(key: PRNGKeyArray, x: Float[Array, "P *frame"]) -> Float[Array, "P *
     samples = x.shape[0]
     if x.ndim == 4:
         height, width = x.shape[1:3]
-        sides = jnp.array([s for s in TILES if height % s == 0 and width % s == 0])
-        side = jax.random.choice(key_side, sides)
+        fitting = [s for s in TILES if height % s == 0 and width % s == 0]
+        sides = jnp.array(fitting, jnp.int32)
+        side = sides[jax.random.randint(key_side, (), 0, len(fitting), jnp.int32)]
         drawn = jax.random.bernoulli(key_tile, jnp.float32(0.1), (samples, height, width))
         rows, columns = jnp.arange(height) // side, jnp.arange(width) // side
         zeroed = drawn[:, rows][:, :, columns][..., None]

@@ -122,11 +122,11 @@ def test_the_same_command_twice_gives_the_same_lines_but_for_times(tmp_path):
 @pytest.mark.parametrize("env", [["env=MountainCar"], ["env=Venture"]])
 def test_a_seed_is_logged_apart_and_begins_as_it_would_alone(env, tmp_path):
     common = [*env, "algo=snd_vic", *SMALL, "algo.minibatch_size=64", "total_steps=256"]
-    train(tmp_path / "many", *common, "num_seeds=3", "seed=4")
+    train(tmp_path / "many", *common, "num_seeds=2", "seed=4")
     train(tmp_path / "alone", *common, "seed=5")
     many = [entry for entry in lines(tmp_path / "many") if entry["seed"] == 5]
     assert len(many) == 2
-    assert {entry["seed"] for entry in lines(tmp_path / "many")} == {4, 5, 6}
+    assert {entry["seed"] for entry in lines(tmp_path / "many")} == {4, 5}
     for one, other in zip(
         without_clock(many), without_clock(lines(tmp_path / "alone")), strict=True
     ):
@@ -264,6 +264,6 @@ def test_novelty_alone_is_a_run_and_pixels_of_other_games_too(tmp_path):
     train(tmp_path / "car", *CAR, "algo=snd_vic", "ppo.ext_weight=0", "total_steps=256")
     train(
         tmp_path / "pong", "env=envpool", "env.id=Pong-v5", "algo=rnd", *SMALL,
-        "algo.minibatch_size=64", "total_steps=128", "num_seeds=2",
+        "algo.minibatch_size=64", "total_steps=128",
     )  # fmt: skip
-    assert len(lines(tmp_path / "pong")) == 2
+    assert len(lines(tmp_path / "pong")) == 1
