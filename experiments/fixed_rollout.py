@@ -35,7 +35,9 @@ def rollout_of(config: Any) -> tuple[sndjax.Agent, sndjax.TrainState, sndjax.Exp
     heads = agent.network.value_heads
     collector = Collector(pool, act, config.env.stack, config.rollout_length, heads)
     batch, _ = collector.collect(sndjax.Actor(states.policy, states.observations, states.key))
-    state, batch = jax.tree.map(lambda x: x[0], (states, batch))
+    state, batch = jax.tree.map(
+        lambda x: jnp.asarray(x[0]) if isinstance(x, np.ndarray) else x[0], (states, batch)
+    )
     return agent, state, batch
 
 
