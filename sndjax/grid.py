@@ -1,4 +1,4 @@
-"""The grid of SPEC: any objective with any signal that it makes sense with.
+"""The grid: any objective with any signal.
 
 A cell's networks and reductions are those that the objective's own published experiments
 ran; `sndjax/algorithms.py` names the cells of the thesis.

@@ -112,12 +112,16 @@ def distillation(
 
 
 def novelty_of_all(
-    learned: Encoder, params: Params, view: View, frames, reading: Literal["mean", "half_sum"]
+    learned: Encoder,
+    params: Params,
+    view: View,
+    frames,
+    z: Float[Array, "T1 N d"],
+    reading: Literal["mean", "half_sum"],
 ) -> Float[Array, "T1 N"]:
-    """The distillation error of every frame of a rollout, s_T included."""
+    """The distillation error of every frame of a rollout, whose features `z` are known."""
 
-    def novelty(frame):
-        target, _ = view.encode(frame)
-        return distillation_error(copied(learned, params, view, frame, None), target, reading)
+    def novelty(frame, z):
+        return distillation_error(copied(learned, params, view, frame, None), z, reading)
 
-    return map_steps(novelty, frames)
+    return map_steps(novelty, frames, z)

@@ -147,10 +147,10 @@ def ngu(
 
     def reward(params, state, view, rollout, key):
         z = features_of_all(view, rollout.frames)
+        error = novelty_of_all(learned, params, view, rollout.frames, z, reading)[1:]
         if state["projection"] is not None:
             z = z @ state["projection"]
         episodic, memory = episodic_rewards(state["memory"], z, rollout, kernel)
-        error = novelty_of_all(learned, params, view, rollout.frames, reading)[1:]
         errors = update_moments(state["errors"], error, rollout.valid)
         factor = lifelong_factor(error, errors, most)
         return episodic * factor, state | {"memory": memory, "errors": errors}

@@ -82,9 +82,10 @@ def noveld(
         }
 
     def reward(params, state, view, rollout, key):
-        code = simhash_code(features_of_all(view, rollout.frames), state["projection"])
+        z = features_of_all(view, rollout.frames)
+        code = simhash_code(z, state["projection"])
         new, visited = first_visits(state["visited"], code, rollout)
-        novelty = novelty_of_all(learned, params, view, rollout.frames, reading)
+        novelty = novelty_of_all(learned, params, view, rollout.frames, z, reading)
         return noveld_reward(novelty, new, alpha), state | {"visited": visited}
 
     return Signal(init, reward, base.loss)
