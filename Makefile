@@ -1,12 +1,13 @@
 # make demo   train PPO and SND-VIC on MountainCar and draw both learning curves
 # make test   the test suite
 # make test-all  every cell of the grid on every kind of input too (half an hour)
+# make test-survival  fifty kills, thousands of bad inputs, half an hour without a leak (fifty minutes)
 # make check  formatter, linter and type checker
 # make .venv  the environment alone; PYTHON=python3.12 picks another Python
 PYTHON ?= python3
 RUN := .venv/bin/python
 
-.PHONY: .venv demo test test-all check format
+.PHONY: .venv demo test test-all test-survival check format
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
@@ -20,7 +21,10 @@ test: .venv/.complete
 	@$(RUN) -m pytest -n 2 --dist worksteal
 
 test-all: .venv/.complete
-	@$(RUN) -m pytest -n 2 --dist worksteal -m ""
+	@$(RUN) -m pytest -n 2 --dist worksteal -m "not survival"
+
+test-survival: .venv/.complete
+	@$(RUN) -m pytest -m survival -s
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

@@ -31,8 +31,8 @@ import envpool
 import gymnasium as gym
 from envpool.registration import registry
 
-from experiments.config import unknown
 from experiments.options import ConfigError
+from experiments.validate import unknown
 
 FAMILIES = {"envpool.atari": "atari", "envpool.procgen": "procgen"}
 

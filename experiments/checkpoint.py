@@ -1,51 +1,267 @@
-"""Orbax checkpoints of the whole train state."""
+"""Checkpoints: written while training goes on, whole or not at all, verified before they are read.
 
+checkpoints/<iteration>/tree/          orbax's files
+checkpoints/<iteration>/manifest.json  their digests, and where the logs stood
+"""
+
+import errno
+import hashlib
+import json
+import os
+import shutil
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
+import numpy as np
 import orbax.checkpoint as ocp
 
-from experiments.options import ConfigError
 from sndjax import TrainState
 
-KEEP = 2  # the newest checkpoints that stay
+KEEP = 2  # the newest checkpoints that stay; the best one stays beside them
+MANIFEST = "manifest.json"
+ROOM = 300_000  # bytes that a checkpoint takes beside its arrays, at most
+
+
+class Damaged(Exception):
+    """What stands on the disk is not what was written, or does not fit."""
 
 
 class Checkpoints:
     """The checkpoints of a run directory, numbered by iteration."""
 
     def __init__(self, path: Path):
-        options = ocp.CheckpointManagerOptions(max_to_keep=KEEP, create=False)
-        (path / "checkpoints").mkdir(exist_ok=True)
-        self.manager = ocp.CheckpointManager((path / "checkpoints").resolve(), options=options)
+        """Nothing is written yet."""
+        self.path = (path / "checkpoints").resolve()
+        self.newest: int | None = None  # iteration of the last one written or restored
+        self.writer: threading.Thread | None = None
+        self.error: BaseException | None = None
 
-    def save(self, iteration: int, state: TrainState) -> None:
-        """Write the state, and return when it is whole on the disk."""
-        self.manager.save(iteration, args=ocp.args.StandardSave(raw(state)))
-        self.manager.wait_until_finished()
+    def steps(self) -> list[int]:
+        """The iterations that have a checkpoint, in order."""
+        if not self.path.is_dir():
+            return []
+        return sorted(int(p.name) for p in self.path.iterdir() if p.name.isdigit())
 
-    def restore(self, like: TrainState) -> tuple[int, TrainState] | None:
-        """The newest checkpoint with its iteration, or None where there is none.
+    def save(self, iteration: int, state: TrainState, more: dict[str, Any]) -> None:
+        """Begin to write the state, as it is now; one is written at a time.
+
+        Args:
+          iteration: how many the state has seen.
+          state: it may be donated as soon as this returns.
+          more: what else the manifest holds; `last100` decides which is the best.
 
         Raises:
-          ConfigError: it does not fit this configuration.
+          OSError: the one before could not be written.
         """
-        iteration = self.manager.latest_step()
-        if iteration is None:
-            return None
-        abstract = jax.eval_shape(raw, like)
-        try:
-            state = self.manager.restore(iteration, args=ocp.args.StandardRestore(abstract))
-        except (ValueError, KeyError, TypeError, OSError) as error:
-            cause = str(error).strip().splitlines()[0]
-            raise ConfigError(f"checkpoint {iteration} cannot be restored: {cause}") from None
-        return iteration, state._replace(key=jax.random.wrap_key_data(state.key))
+        self.wait()
+        tree = jax.tree.map(np.array, raw(state))  # a copy: the buffers will be used again
+        self.writer = threading.Thread(target=self.work, args=(iteration, tree, more))
+        self.writer.start()
 
-    def close(self) -> None:
-        """Stop orbax's threads."""
-        self.manager.close()
+    def work(self, iteration: int, tree: Any, more: dict[str, Any]) -> None:
+        """Write one and remove what it makes superfluous."""
+        try:
+            write(self.path / str(iteration), tree, {"iteration": iteration} | more)
+            self.newest = iteration
+            self.prune()
+        except Exception as error:  # raised again by `wait`, in the thread that can answer it
+            self.error = error
+
+    def wait(self) -> None:
+        """Return when the one that is being written is whole on the disk.
+
+        Raises:
+          OSError: it could not be written.
+        """
+        if self.writer is not None:
+            self.writer.join()
+            self.writer = None
+        if self.error is not None:
+            error, self.error = self.error, None
+            cause = (str(error).strip() or type(error).__name__).splitlines()[0]
+            raise OSError(f"a checkpoint: {cause}{self.standing()}") from error
+
+    def standing(self) -> str:
+        """The last good one, in words."""
+        return "" if self.newest is None else f"; that of iteration {self.newest} stands"
+
+    def prune(self) -> None:
+        """Keep the newest, and of all the one with the best return of the last 100 episodes.
+
+        Any beyond the newest is of a future that is being collected again.
+        """
+        assert self.newest is not None
+        steps = [step for step in self.steps() if step <= self.newest]
+        for step in set(self.steps()) - set(steps):
+            remove(self.path / str(step))
+        returns = {step: last100(self.path / str(step)) for step in steps}
+        best = max(steps, key=lambda step: (returns[step], step))
+        for step in steps[:-KEEP]:
+            if step != best:
+                remove(self.path / str(step))
+
+    def restore(
+        self, like: TrainState, fits: Callable[[dict[str, Any]], None]
+    ) -> tuple[int, TrainState | None, dict[str, Any], list[str]]:
+        """The newest checkpoint that is whole.
+
+        Args:
+          like: the state's shapes and dtypes.
+          fits: raises ValueError where the run's other files are not those of a manifest.
+
+        Returns:
+          Its iteration, the state, its manifest, and a line about each newer one that
+          cannot be used. With no checkpoint at all: 0, None, nothing, no line.
+
+        Raises:
+          Damaged: there are some, and none can be used.
+        """
+        said: list[str] = []
+        for step in reversed(self.steps()):
+            try:
+                tree, manifest = read(self.path / str(step), raw_like(like), fits)
+            except Damaged as error:
+                said.append(f"checkpoint {step} cannot be used ({error})")
+                continue
+            self.newest = step
+            return step, tree._replace(key=jax.random.wrap_key_data(tree.key)), manifest, said
+        if said:
+            raise Damaged("; ".join(said))
+        return 0, None, {}, []
 
 
 def raw(state: TrainState) -> TrainState:
     """The state with its key as plain integers."""
     return state._replace(key=jax.random.key_data(state.key))
+
+
+def raw_like(like: TrainState) -> Any:
+    """The shapes and dtypes of a raw state."""
+    return jax.eval_shape(raw, like)
+
+
+def last100(path: Path) -> float:
+    """The return that a checkpoint was written at, or -inf."""
+    try:
+        found = manifest_of(path)["last100"]
+    except (Damaged, KeyError):
+        return -np.inf
+    return found if isinstance(found, float) else -np.inf
+
+
+def write(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
+    """Write a tree of arrays so that it stands at `path` whole or not at all.
+
+    Raises:
+      OSError: the disk is full, say; nothing is left of it.
+    """
+    new = path.with_name(f".{path.name}.new")
+    try:
+        remove(new)
+        new.mkdir(parents=True)
+        check_room(new, tree)
+        with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
+            checkpointer.save((new / "tree").resolve(), args=ocp.args.StandardSave(solid(tree)))
+        files = {str(p.relative_to(new)): digest(p) for p in new.rglob("*") if p.is_file()}
+        body = json.dumps(manifest | {"files": files, "arrays": arrays(tree)}, sort_keys=True)
+        seal = hashlib.sha256(body.encode()).hexdigest()
+        (new / MANIFEST).write_text(f'{{"sha256": "{seal}", {body[1:]}')
+        for place in (*new.rglob("*"), new):
+            settle(place)
+        remove(path)  # of the same iteration, damaged
+        new.rename(path)
+        settle(path.parent)
+    except BaseException:
+        remove(new)
+        raise
+
+
+def manifest_of(path: Path) -> dict[str, Any]:
+    """The manifest of what stands at `path`, as it was written.
+
+    Raises:
+      Damaged: it is not.
+    """
+    try:
+        manifest = json.loads((path / MANIFEST).read_text())
+        seal = manifest.pop("sha256")
+    except OSError as error:
+        raise Damaged(f"{MANIFEST}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise Damaged(f"{MANIFEST} is not what was written") from None
+    if hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest() != seal:
+        raise Damaged(f"{MANIFEST} is not what was written")
+    return manifest
+
+
+def read(path: Path, like: Any, fits: Callable[[dict[str, Any]], None]) -> tuple[Any, Any]:
+    """The tree at `path` and its manifest, after every byte was compared with its digest.
+
+    Raises:
+      Damaged: in a few words, what is wrong with it.
+    """
+    manifest = manifest_of(path)
+    try:
+        for name, wanted in manifest["files"].items():
+            if digest(path / name) != wanted:
+                raise Damaged(f"{name} is not what was written")
+        for name, wanted in arrays(like).items():  # orbax would cut them or fill them up
+            found = manifest["arrays"].get(name, "none")
+            if found != wanted:
+                raise Damaged(f"{name} is {found}, not {wanted}")
+        fits(manifest)
+    except FileNotFoundError as error:
+        raise Damaged(f"{Path(error.filename).name} is missing") from None
+    except KeyError as error:
+        raise Damaged(f"{MANIFEST} says nothing of {error}") from None
+    except (ValueError, TypeError, AttributeError, OSError) as error:
+        raise Damaged(str(error) or type(error).__name__) from None
+    try:
+        with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
+            target = (path / "tree").resolve()
+            tree = checkpointer.restore(target, args=ocp.args.StandardRestore(solid(like)))
+    except Exception as error:  # orbax raises many things
+        raise Damaged((str(error).strip() or type(error).__name__).splitlines()[0]) from None
+    hollow = lambda wanted, found: found if wanted.size else np.zeros(wanted.shape, wanted.dtype)
+    return jax.tree.map(hollow, like, tree), manifest
+
+
+def check_room(path: Path, tree: Any) -> None:
+    """Raise OSError unless a tree fits on the disk: orbax notices late and with many words."""
+    needed = sum(x.nbytes for x in jax.tree.leaves(tree)) + ROOM
+    if shutil.disk_usage(path).free < needed:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def solid(tree: Any) -> Any:
+    """The tree with something in every array of no elements, which orbax refuses to store."""
+    return jax.tree.map(lambda x: x if x.size else np.zeros(1, x.dtype), tree)
+
+
+def arrays(tree: Any) -> dict[str, str]:
+    """The dtype and the shape of every array of a tree, by its path."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {jax.tree_util.keystr(path): f"{x.dtype}{list(x.shape)}" for path, x in leaves}
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def settle(path: Path) -> None:
+    """Write a file or a directory through to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def remove(path: Path) -> None:
+    """Remove a directory, whatever of it there is."""
+    shutil.rmtree(path, ignore_errors=True)

@@ -17,6 +17,23 @@ class Track(NamedTuple):
     room: np.ndarray | None
 
 
+def shapes(pool: Pool, stack: int, steps: int, heads: int) -> Experience:
+    """The shapes and dtypes of the batches of a `Collector`."""
+    seeds, envs = pool.rows
+    array: Any = lambda dtype, *shape: jax.ShapeDtypeStruct((seeds, *shape), dtype)
+    row: Any = lambda dtype: array(dtype, steps, envs)
+    frames = array(pool.dtype, steps + 1, envs, *pool.shape)
+    rollout = Rollout(frames, row(np.int32), row(bool), row(bool), row(bool))
+    return Experience(
+        rollout,
+        array(pool.dtype, stack - 1, envs, *pool.shape),
+        row(np.float32),
+        row(bool),
+        row(np.float32),
+        array(np.float32, steps + 1, envs, heads),
+    )
+
+
 class Collector:
     """The pool with the stack and the frame that each environment stands at.
 

@@ -7,11 +7,10 @@ import shutil
 import time
 from pathlib import Path
 
-from experiments.config import to_yaml
 from experiments.options import Config, ConfigError
+from experiments.stored import CONFIG, Stored, read, to_yaml
 
 LOCK = ".lock"
-CONFIG = "config.yaml"
 
 
 class Directory:
@@ -30,22 +29,27 @@ class Directory:
         self.resumed = config.resume is not None
         self.made = missing(self.path)
         try:
-            used = not self.resumed and self.path.is_dir() and any(self.path.iterdir())
-            if used and not (self.path / LOCK).exists():
+            ours = self.resumed or (self.path / LOCK).exists()
+            if not ours and self.path.is_dir() and self.holds_something():
                 raise ConfigError(self.not_empty())
             self.path.mkdir(parents=True, exist_ok=True)
             self.lock = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             self.unmake()
-            raise ConfigError(f"cannot write to {self.path}: {error.strerror}") from None
+            cause = getattr(error, "strerror", None) or error
+            raise ConfigError(f"cannot write to {self.path}: {cause}") from None
         try:
             fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self.close()
             raise ConfigError(f"run directory {self.path} is in use by another run") from None
-        if not self.resumed and any(entry.name != LOCK for entry in self.path.iterdir()):
+        if not self.resumed and self.holds_something():
             self.close()
             raise ConfigError(self.not_empty())
+
+    def holds_something(self) -> bool:
+        """Whether there is more than a run leaves that was killed before it began."""
+        return any(entry.name not in (LOCK, unfinished(CONFIG)) for entry in self.path.iterdir())
 
     def not_empty(self) -> str:
         """Why a directory with something in it is refused."""
@@ -70,13 +74,25 @@ class Directory:
         """Let another run have the directory."""
         os.close(self.lock)
 
-    def begin(self, config: Config, versions: dict[str, str]) -> None:
-        """Write `config.yaml`, from which the run can be resumed and repeated."""
-        path = self.path / CONFIG
+    def begin(self, config: Config, versions: dict[str, str]) -> list[str]:
+        """Write `config.yaml`, from which the run can be resumed and repeated.
+
+        Returns a line about each version that is not the one the run was made with.
+        """
+        path, made_with, past = self.path / CONFIG, versions, None
         if path.exists():
-            return
-        head = "".join(f"# {name} {version}\n" for name, version in versions.items())
-        replace(path, head + to_yaml(config))
+            past = read(path)
+            made_with = past.made_with
+        elif config.repeat is not None:
+            made_with = read(Path(config.repeat)).made_with
+        if past is None or past.config.total_steps != config.total_steps:
+            replace(path, to_yaml(Stored(config, versions if past is None else made_with)))
+        return [
+            f"this run was made with {name} {version}, here is {versions.get(name, 'none')}: "
+            "its numbers may come out differently"
+            for name, version in made_with.items()
+            if versions.get(name) != version
+        ]
 
 
 def fresh(config: Config) -> Path:
@@ -93,9 +109,18 @@ def missing(path: Path) -> list[Path]:
 
 def replace(path: Path, text: str) -> None:
     """Write a file whole or not at all."""
-    new = path.with_name(f".{path.name}.new")
-    with new.open("w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
+    new = path.with_name(unfinished(path.name))
+    try:
+        with new.open("w") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def unfinished(name: str) -> str:
+    """What a file is called while it is being written."""
+    return f".{name}.new"

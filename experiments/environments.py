@@ -6,8 +6,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from experiments.catalogue import envpool, family_of, gym
-from experiments.config import unknown
 from experiments.options import ConfigError, EnvConfig
+from experiments.validate import unknown
 
 UNBOUNDED = 1e6  # a bound beyond this is none
 MONTEZUMA_ROOM = 3  # the byte of RAM that numbers the room

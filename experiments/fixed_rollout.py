@@ -14,12 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import sndjax
+from experiments.agents import build, first_states, over_seeds
 from experiments.collect import Collector
 from experiments.config import load
 from experiments.environments import make_pool
 from experiments.options import ConfigError
 from experiments.run import refuse
-from experiments.training import build, first_states, keep_compilations, over_seeds
+from experiments.training import keep_compilations
 from sndjax.train import train_module
 
 UPDATES = 10
@@ -71,7 +72,9 @@ def main(arguments: list[str]) -> int:
     for i, key in enumerate(jax.random.split(state.key, UPDATES)):
         state, metrics = update(state, key)
         copies.append(state.intrinsic["signal"])
-        shown = "  ".join(f"{k} {float(v):.4g}" for k, v in metrics.items() if "loss" in k)
+        shown = "  ".join(
+            f"{k} {float(v):.4g}" for k, v in metrics.items() if "loss" in k or "spread" in k
+        )
         print(f"update {i + 1}  {shown}", flush=True)
     if loss(state.intrinsic, state.intrinsic_state, key) is not None:
         values = [

@@ -1,6 +1,8 @@
 """SIGINT and SIGTERM, answered where a run can stop without leaving anything half-done."""
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,27 +27,42 @@ class Interrupts:
     """While it is entered, a signal is kept until `check`, or breaks off what is waited for.
 
     An exception out of a signal handler can land anywhere, also where it is swallowed (in a
-    destructor or a callback); here it can land in `waiting` alone.
+    destructor or a callback); here it can land in `waiting` alone. Before `begin` there is
+    nothing to keep, and a signal ends the process.
     """
 
     def __init__(self) -> None:
+        self.begun = False
         self.received: int | None = None
-        self.may_break = False
+        self.grace: float | None = None  # None: nothing is being waited for
         self.previous: dict[int, Any] = {}
 
     def __enter__(self) -> "Interrupts":
         if threading.current_thread() is threading.main_thread():
             self.previous = {number: signal.signal(number, self.receive) for number in SIGNALS}
+            self.previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, self.give_up)
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self.previous.items():
             signal.signal(number, handler)
 
+    def begin(self) -> None:
+        """From here on there is something to lose."""
+        self.begun = True
+
     def receive(self, number: int, frame: object) -> None:
-        """The handler."""
+        """The handler of both."""
+        if not self.begun:
+            print("sndjax: interrupted before the first iteration", file=sys.stderr, flush=True)
+            os._exit(128 + number)
         self.received = number
-        if self.may_break:
+        if self.grace is not None:
+            signal.setitimer(signal.ITIMER_REAL, max(self.grace, 1e-6))
+
+    def give_up(self, number: int, frame: object) -> None:
+        """The handler of the alarm: the wait has had its time."""
+        if self.grace is not None:
             self.check()
 
     def check(self) -> None:
@@ -58,11 +75,14 @@ class Interrupts:
             raise Interrupted(self.received)
 
     @contextmanager
-    def waiting(self) -> Iterator[None]:
-        """Inside, a signal breaks off the wait at once."""
+    def waiting(self, grace: float = 0.0) -> Iterator[None]:
+        """Inside, a signal breaks off the wait unless it is over within `grace` seconds."""
         self.check()
-        self.may_break = True
+        self.grace = grace
         try:
+            if self.received is not None:  # it came since the check
+                signal.setitimer(signal.ITIMER_REAL, max(grace, 1e-6))
             yield
         finally:
-            self.may_break = False
+            self.grace = None
+            signal.setitimer(signal.ITIMER_REAL, 0)

@@ -50,7 +50,7 @@ class EnvConfig:
     )
     total_steps: int = option(1_000_000, "the default of total_steps", low=1)
     baseline_gamma: float = option(0.99, "external discount of algo=ppo", low=0, high=1)
-    eta: dict[str, float] = option({}, "published intrinsic scale of each algorithm")
+    eta: dict[str, float] = option({}, "published intrinsic scale of each algorithm", low=0)
     options: dict[str, Any] = option({}, "passed to its maker, e.g. env.options.frame_skip=4")
 
 
@@ -123,7 +123,15 @@ class Config:
     )
     checkpoint_every: int = option(50, "iterations between checkpoints", low=1)
     run_dir: str | None = option(None, "where the run goes; default runs/<env>/<algo>/<time>-<id>")
-    resume: str | None = option(None, "a run directory to go on from")
+    resume: str | None = option(
+        None, "a run directory to go on from; auto: run_dir, if there is a run in it"
+    )
+    repeat: str | None = option(None, "the config.yaml of a run, to run it again")
+    on_nan: str = option(
+        "stop",
+        "a number that is not finite stops the run, skips the iteration, or is ignored",
+        choices=("stop", "skip", "ignore"),
+    )
 
     @property
     def rows(self) -> int:

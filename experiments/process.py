@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import warnings
 from importlib.metadata import version
 
 # Orders an update's operations for memory on a CPU: a third less of it
@@ -12,7 +13,8 @@ TRIED = ("0.10.",)
 
 
 def before_jax() -> None:
-    """Set XLA's flags; they are read once, when jax first computes."""
+    """Set XLA's flags, which are read once, when jax first computes, and silence others."""
+    warnings.filterwarnings("ignore", message=".*Box (low|high)'s precision.*")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "1")
     if version("jaxlib").startswith(TRIED):
         os.environ["XLA_FLAGS"] = f"{MEMORY_SCHEDULE} {os.environ.get('XLA_FLAGS', '')}".strip()

@@ -1,76 +1,70 @@
 """What a run leaves: metrics.jsonl, episodes.csv, summary.json and TensorBoard events."""
 
-import csv
 import json
 import math
+import time
 from pathlib import Path
 from typing import Any
 
-from tensorboardX import SummaryWriter
-
+from experiments.boards import Boards
 from experiments.directory import replace
 from experiments.episodes import Episode, Summary
+from experiments.log import Log, Mark, holds
 
 COLUMNS = [name for name in Episode._fields if name != "rooms"]
+LOGS = ("metrics.jsonl", "episodes.csv")
+
+
+def check_logs(path: Path, marks: dict[str, Mark]) -> None:
+    """Raise ValueError unless the logs begin with what they held when they were marked."""
+    for name in LOGS:
+        holds(path / name, marks[name])
 
 
 class Records:
     """The log files of a run; opened again, they go on where its checkpoint stands."""
 
-    def __init__(self, path: Path, seeds: list[int], rooms: bool, step: int):
+    def __init__(self, path: Path, seeds: list[int], rooms: bool, marks: dict[str, Mark]):
         """Open the files.
 
         Args:
           path: the run directory.
           seeds: one per agent.
           rooms: whether episodes count rooms.
-          step: rows collected so far; what stands in the files beyond them is taken out,
-            because it will be collected again.
+          marks: where the logs stood at the checkpoint that the run goes on from, if any; what
+            they hold beyond is cut off, because it will be collected again.
         """
         self.path, self.seeds = path, seeds
-        self.columns = COLUMNS + (["rooms"] if rooms else [])
         self.summaries = [Summary() for _ in seeds]
         self.wall_seconds = 0.0
         self.transitions = [0 for _ in seeds]
-        if step:
-            self.rewind(step)
-        self.metrics = (path / "metrics.jsonl").open("a")
-        new = not (path / "episodes.csv").exists()
-        self.episodes = (path / "episodes.csv").open("a", newline="")
-        self.writer = csv.writer(self.episodes, lineterminator="\n")
-        if new:
-            self.writer.writerow(self.columns)
-            self.episodes.flush()
-        self.boards = [
-            SummaryWriter(str(path / "tensorboard" / f"seed_{seed}"), purge_step=step or None)
-            for seed in seeds
-        ]
+        self.metrics, self.episodes = (Log(path / name, marks.get(name)) for name in LOGS)
+        self.boards = Boards(path / "tensorboard", seeds)
+        self.columns = COLUMNS + (["rooms"] if rooms else [])
+        if self.episodes.size:
+            self.take_back()
+        else:
+            self.write_row(self.columns)
+        self.flush()
 
-    def rewind(self, step: int) -> None:
-        """Cut the files back to `step` rows and take in what remains."""
-        index = {seed: i for i, seed in enumerate(self.seeds)}
-        kept = []
-        for line in (self.path / "metrics.jsonl").read_text().splitlines():
-            try:
-                entry = json.loads(line)
-            except json.JSONDecodeError:
-                continue  # half a line: the run was killed while it wrote it
-            if entry["step"] <= step:
-                kept.append(line)
-                self.wall_seconds = entry["wall_seconds"]
-                self.transitions[index[entry["seed"]]] = entry["transitions"]
-        replace(self.path / "metrics.jsonl", "".join(f"{line}\n" for line in kept))
-        kept = [",".join(self.columns)]
-        for line in (self.path / "episodes.csv").read_text().splitlines()[1:]:
-            cells = line.split(",")
-            if len(cells) != len(self.columns) or int(cells[1]) > step:
-                continue
-            kept.append(line)
-            seed, at, length, *figures = cells
+    def take_back(self) -> None:
+        """Count what the logs already hold."""
+        lines = [json.loads(x) for x in (self.path / LOGS[0]).read_text().splitlines()]
+        for line in lines:
+            self.wall_seconds = line["wall_seconds"]
+            self.transitions[self.seeds.index(line["seed"])] = line["transitions"]
+        begun = time.time() - self.wall_seconds
+        for line in lines:
+            self.boards.add(line, begun + line["wall_seconds"])
+        for row in (self.path / LOGS[1]).read_text().splitlines()[1:]:
+            seed, step, length, *figures = row.split(",")
             external, score, intrinsic = (float(x) for x in figures[:3])
-            episode = Episode(int(seed), int(at), int(length), external, score, intrinsic)
-            self.summaries[index[episode.seed]].add(episode)
-        replace(self.path / "episodes.csv", "".join(f"{line}\n" for line in kept))
+            episode = Episode(int(seed), int(step), int(length), external, score, intrinsic)
+            self.summaries[self.seeds.index(episode.seed)].add(episode)
+
+    def write_row(self, cells: Any) -> None:
+        """A line of episodes.csv; no cell needs quotes."""
+        self.episodes.write(",".join(str(cell) for cell in cells) + "\n")
 
     def take_in(self, i: int, ended: list[Episode], entry: dict[str, Any]) -> dict[str, Any]:
         """Log one iteration of seed number i: its episodes and its line of metrics.
@@ -79,7 +73,7 @@ class Records:
         """
         for episode in ended:
             self.summaries[i].add(episode)
-            self.writer.writerow(episode[: len(self.columns)])
+            self.write_row(episode[: len(self.columns)])
         mean = lambda name: sum(getattr(e, name) for e in ended) / len(ended) if ended else None
         head = {key: entry.pop(key) for key in ("iteration", "step", "transitions", "frames")}
         line = head | {
@@ -91,15 +85,19 @@ class Records:
         }
         line |= {key: finite(value) for key, value in entry.items()}
         self.metrics.write(json.dumps(line, allow_nan=False) + "\n")
-        for key, value in line.items():
-            if isinstance(value, float):
-                self.boards[i].add_scalar(key, value, line["step"])
+        self.boards.add(line, time.time())
         return line
 
     def flush(self) -> None:
         """Hand everything written so far to the system."""
-        self.metrics.flush()
-        self.episodes.flush()
+        for log in (self.metrics, self.episodes, self.boards):
+            log.flush()
+
+    def manifest(self) -> dict[str, Any]:
+        """What a checkpoint of this moment says of the logs, which are now safe on the disk."""
+        last = [summary.last100 for summary in self.summaries if summary.last100 is not None]
+        marks = dict(zip(LOGS, (self.metrics.mark(), self.episodes.mark()), strict=True))
+        return {"logs": marks, "last100": sum(last) / len(last) if last else None}
 
     def summarize(self, step: int) -> None:
         """Write summary.json for `step` rows per seed."""
@@ -111,10 +109,8 @@ class Records:
 
     def close(self) -> None:
         """Close the files."""
-        self.metrics.close()
-        self.episodes.close()
-        for board in self.boards:
-            board.close()
+        for log in (self.metrics, self.episodes, self.boards):
+            log.close()
 
 
 def finite(value: Any) -> Any:

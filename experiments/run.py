@@ -6,27 +6,25 @@ refused in a moment.
 
 import os
 import sys
-import warnings
 
 from experiments.config import help_text, load
-from experiments.directory import CONFIG, Directory
-from experiments.interrupts import Interrupted
+from experiments.directory import Directory
+from experiments.interrupts import Interrupted, Interrupts
 from experiments.options import ConfigError
 from experiments.process import before_jax
+from experiments.stored import CONFIG
 
 
-def refuse(error: object) -> int:
-    """Say in one line what was wrong with the input."""
+def refuse(error: object, status: int = 2) -> int:
+    """Say in one line what was wrong."""
     print(f"sndjax: {' '.join(str(error).split())}", file=sys.stderr)
-    return 2
-
-
-def interrupted(directory: Directory | None, status: int) -> int:
-    """Say how to go on."""
-    path = directory.path if directory else None
-    where = f"; go on with resume={path}" if path and (path / CONFIG).exists() else ""
-    print(f"\nsndjax: interrupted{where}", file=sys.stderr)
     return status
+
+
+def how_to_go_on(directory: Directory | None) -> str:
+    """The option that goes on with what stands in the directory, if anything does."""
+    path = directory.path if directory else None
+    return f"; go on with resume={path}" if path and (path / CONFIG).exists() else ""
 
 
 def console() -> None:
@@ -42,13 +40,19 @@ def console() -> None:
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns its exit status.
 
-    0 done, 2 bad input, 130 and 143 stopped by SIGINT and SIGTERM.
+    0 done; 1 stopped by a full disk or by a number that is not finite; 2 bad input; 130 and 143
+    stopped by SIGINT and SIGTERM.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     if any(argument in ("-h", "--help", "help") for argument in arguments):
         print(help_text())
         return 0
-    warnings.filterwarnings("ignore", message=".*Box (low|high)'s precision.*")
+    with Interrupts() as interrupts:
+        return run(arguments, interrupts)
+
+
+def run(arguments: list[str], interrupts: Interrupts) -> int:
+    """The run that the arguments ask for; its exit status."""
     directory = None
     try:
         config = load(arguments)
@@ -56,17 +60,17 @@ def main(arguments: list[str] | None = None) -> int:
         before_jax()
         from experiments.training import train
 
-        train(config, directory)
+        train(config, directory, interrupts)
     except ConfigError as error:
         if directory is not None:
             directory.abandon()
         return refuse(error)
+    except FloatingPointError as error:  # it says how to see why
+        return refuse(error, 1)
     except OSError as error:
-        return refuse(f"cannot write the run: {error}")
-    except KeyboardInterrupt:  # before the first iteration
-        return interrupted(directory, 130)
+        return refuse(f"cannot write the run: {error}{how_to_go_on(directory)}", 1)
     except Interrupted as stopped:
-        return interrupted(directory, stopped.status)
+        return refuse(f"interrupted{how_to_go_on(directory)}", stopped.status)
     finally:
         if directory is not None:
             directory.close()

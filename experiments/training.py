@@ -2,34 +2,35 @@
 
 import os
 import time
-from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import sndjax
-from experiments.checkpoint import Checkpoints
-from experiments.collect import Collector
+from experiments.agents import build, first_states, over_seeds
+from experiments.checkpoint import Checkpoints, Damaged
+from experiments.collect import Collector, Track
 from experiments.directory import Directory
-from experiments.environments import Pool, make_pool
+from experiments.environments import make_pool
 from experiments.episodes import Episodes
 from experiments.estimate import seconds
-from experiments.extension import load_module
-from experiments.interrupts import Interrupts
-from experiments.options import COPYING, AlgoConfig, Config, ConfigError
+from experiments.interrupts import Interrupted, Interrupts
+from experiments.options import Config, ConfigError
 from experiments.process import return_freed_memory
 from experiments.progress import Progress, clock
-from experiments.records import Records
+from experiments.records import Records, check_logs
+from experiments.stored import check_settings, settings
 from experiments.versions import versions
-from sndjax.algorithms import NAMED
+from experiments.watch import Signs, dump, not_finite
 
 WIDE = ("re3", "e3b", "ngu")  # signals whose unit is not that of a squared feature
-CHECKPOINT_SECONDS = 300  # and at least this often, however long an iteration takes
+CHECKPOINT_SECONDS = 300  # a checkpoint at least this often
+LONG_SECONDS = 60  # an iteration that takes longer is always followed by one
+GRACE_SECONDS = 5  # that an update may go on after SIGTERM, so that its checkpoint is in time
 
 
 def keep_compilations() -> None:
@@ -40,85 +41,18 @@ def keep_compilations() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-def motivation_of(algo: AlgoConfig, num_actions: int, size: sndjax.Architecture) -> Any:
-    """The motivation of a configuration, or None for the baseline.
-
-    Raises:
-      ConfigError: this cell refuses this environment, or the user's module is none.
-    """
-    own: dict[str, Any] = {"preprocess": algo.preprocess, "activation": algo.activation}
-    if algo.signal in COPYING:
-        own["pairing"] = algo.pairing
-    if algo.signal == "prediction":
-        own["gradient"] = algo.gradient
-    if algo.name == "ppo":
-        return None
-    if algo.module is not None:
-        make = partial(load_module, algo.module)
-        own = {}
-    elif algo.name == "grid":
-        make = partial(sndjax.grid, algo.objective, algo.signal)
-    else:
-        make = cast(Any, NAMED[algo.name])
-    return sndjax.Motivation(
-        make(num_actions, size, **own),
-        algo.eta,
-        cast(Any, algo.reward_scale),  # one of the choices: it was validated
-        algo.learning_rate,
-        algo.minibatch_size,
-        algo.shuffle,
-    )
-
-
-def build(config: Config, pool: Pool) -> sndjax.Agent:
-    """The agent of a configuration for the frames and actions of a pool."""
-    if pool.dtype != np.uint8:
-        size = sndjax.VECTOR
-    else:
-        size = sndjax.ATARI if pool.shape[-1] == 1 else sndjax.PROCGEN
-    motivation = motivation_of(config.algo, pool.num_actions, size)
-    return sndjax.Agent(
-        sndjax.ActorCritic(size, pool.num_actions, 2 if motivation else 1),
-        sndjax.Hyperparameters(**asdict(config.ppo)),
-        motivation,
-        sndjax.Stack(config.env.stack, config.env.repeat_first),
-        pool.unbounded,
-        config.env.random_action,
-    )
-
-
-def over_seeds(function: Callable[..., Any], seeds: int, shared: int = 0) -> Callable[..., Any]:
-    """A function of leaves [S, ...]: mapped over seeds, its last `shared` arguments the same.
-
-    One seed is not mapped but squeezed: a batch axis of one costs time on a CPU.
-    """
-    if seeds > 1:
-        return lambda *args: jax.vmap(function, [0] * (len(args) - shared) + [None] * shared)(*args)
-
-    def single(*args):
-        own, same = args[: len(args) - shared], args[len(args) - shared :]
-        result = function(*jax.tree.map(lambda x: x[0], own), *same)
-        return jax.tree.map(lambda x: x[None], result)
-
-    return single
-
-
-def first_states(agent: sndjax.Agent, seeds: list[int], example: Any) -> sndjax.TrainState:
-    """The state of every seed before its first iteration, leaves [S, ...].
-
-    One seed after another: under vmap the orthogonal weights become a batched QR
-    decomposition, and two of those at once deadlock jaxlib 0.10.2 on a CPU of two cores (each
-    holds a thread of the pool and waits there for the other's).
-    """
-    init = jax.jit(partial(sndjax.init, agent))
-    states = [init(jax.random.key(seed), example) for seed in seeds]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
-
-
 def rss_mb() -> float:
     """Resident memory of this process, in MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def make_train_step(agent: sndjax.Agent, config: Config) -> Any:
+    """`train_step` of every seed, leaves [S, ...], with what a number that goes wrong does."""
+    step = sndjax.make_train_step(agent)
+    if config.on_nan == "skip":
+        step = sndjax.skip_nonfinite(step)
+    return over_seeds(step, config.num_seeds)
 
 
 class Run:
@@ -127,12 +61,11 @@ class Run:
     def __init__(self, config: Config, directory: Directory):
         """Prepare everything that can refuse the configuration; compile nothing yet."""
         keep_compilations()
-        self.config, self.directory = config, directory
+        self.config, self.path = config, directory.path
         self.seeds = [config.seed + i for i in range(config.num_seeds)]
-        count = config.num_seeds
         self.checkpoints = Checkpoints(directory.path)
-        start = (self.checkpoints.manager.latest_step() or 0) if directory.resumed else 0
-        self.pool = make_pool(config.env, self.seeds, config.num_envs, start)
+        begun = [0, *self.checkpoints.steps()][-1] if directory.resumed else 0
+        self.pool = make_pool(config.env, self.seeds, config.num_envs, begun)
         self.agent = build(config, self.pool)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
         self.fresh = lambda: first_states(self.agent, self.seeds, example)
@@ -140,118 +73,224 @@ class Run:
             jax.eval_shape(partial(sndjax.init, self.agent), jax.random.key(0), example)
         except ValueError as error:  # an objective that this environment has nothing for
             raise ConfigError(f"algo={config.algo.name}: {error}") from None
-        self.act = jax.jit(over_seeds(partial(sndjax.act, self.agent), count, shared=1))
-        self.train_step = jax.jit(
-            over_seeds(sndjax.make_train_step(self.agent), count), donate_argnums=0
-        )
-        self.state: sndjax.TrainState | None = None
-        self.start = 0
+        self.act = jax.jit(over_seeds(partial(sndjax.act, self.agent), config.num_seeds, shared=1))
+        self.train_step = jax.jit(make_train_step(self.agent, config), donate_argnums=0)
+        self.update: Any = None  # the compiled train_step
+        self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
+        self.state: sndjax.TrainState | None = None  # None: not made yet, or in an update
+        self.done = 0  # iterations
+        self.manifest: dict[str, Any] = {}  # of the checkpoint that the run goes on from
+        self.said: list[str] = []  # before there was a display
         if directory.resumed:
-            found = self.checkpoints.restore(jax.eval_shape(self.fresh))
-            if found is not None:
-                self.start, self.state = found
+            try:
+                found = self.checkpoints.restore(jax.eval_shape(self.fresh), self.check)
+            except Damaged as error:
+                raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
+            self.done, self.state, self.manifest, self.said = found
+        self.saved = time.monotonic()
+        self.expected: float | None = None  # seconds of an update
 
-    def train(self) -> None:
+    def check(self, manifest: dict[str, Any]) -> None:
+        """Raise ValueError unless a checkpoint belongs to this configuration and these logs."""
+        check_settings(self.config, manifest["settings"])
+        check_logs(self.path, manifest["logs"])
+
+    def train(self, interrupts: Interrupts) -> None:
         """Train to the last iteration, logging each."""
-        config, path, rows = self.config, self.directory.path, self.config.rows
+        self.interrupts = interrupts
+        interrupts.begin()
+        config, rows = self.config, self.config.rows
         total = config.iterations * rows
-        records = Records(path, self.seeds, self.pool.rooms, self.start * rows)
-        title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {path}"
-        progress = Progress(title, total, self.start * rows)
+        logs = self.manifest.get("logs", {})
+        self.records = Records(self.path, self.seeds, self.pool.rooms, logs)
+        title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {self.path}"
+        self.progress = Progress(title, total, self.done * rows)
+        for line in self.said:
+            self.progress.say(line)
         try:
-            if self.start < config.iterations:
-                with Interrupts() as interrupts:
-                    self.iterations(records, progress, interrupts)
-            records.summarize(total)
-            progress.say(f"finished: {path}")
+            try:
+                self.iterate()
+            except Interrupted:
+                self.save_before_leaving()
+                raise
+            self.records.summarize(self.done * rows)
+            self.progress.say(f"finished: {self.path}")
         finally:
-            progress.close()
-            records.close()
-            self.checkpoints.close()
+            self.progress.close()
+            self.records.close()
             self.pool.close()
 
-    def iterations(self, records: Records, progress: Progress, interrupts: Interrupts) -> None:
+    def iterate(self) -> None:
         """From the iteration the run stands at to its last."""
-        config, rows = self.config, self.config.rows
+        config, progress = self.config, self.progress
+        if self.done == config.iterations:
+            return
         if config.algo.signal in WIDE and config.algo.reward_scale == "none":
             progress.say(
                 f"the signal {config.algo.signal} has no published scale: unless its share of "
                 "clipped rewards stays low, take algo.reward_scale=running_std"
             )
-        if self.start:
-            progress.say(f"going on from iteration {self.start}; environments begin new episodes")
+        if self.done:
+            progress.say(f"going on from iteration {self.done}; environments begin new episodes")
         progress.phase("compiling the policy")
-        state = self.fresh() if self.state is None else self.state
+        if self.state is None:
+            self.state = self.fresh()
         heads = self.agent.network.value_heads
         collector = Collector(self.pool, self.act, config.env.stack, config.rollout_length, heads)
         episodes = Episodes(self.seeds, config.num_envs, self.pool.rooms)
-        update, expected = None, None
-        skip = int(config.env.options.get("frame_skip", 1))
-        saved = time.monotonic()
-
-        def stepped(step: int) -> None:
-            interrupts.check()
-            progress.within(step / config.rollout_length)
-
-        for iteration in range(self.start, config.iterations):
+        signs = {seed: Signs(self.pool.num_actions) for seed in self.seeds}
+        while self.done < config.iterations:
             begun = time.monotonic()
-            progress.phase("collecting")
-            batch, track = collector.collect(
-                sndjax.Actor(state.policy, state.observations, state.key), stepped
-            )
+            batch, track = self.collect(collector)
             collected = time.monotonic()
-            if update is None:
-                progress.phase("compiling the update")
-                with interrupts.waiting():
-                    traced = self.train_step.trace(state, batch)
-                    update = traced.lower().compile()
-                expected = seconds(traced.jaxpr.jaxpr)
-                return_freed_memory()
-                progress.say(
-                    f"update compiled in {time.monotonic() - collected:.0f} s; "
-                    f"each takes about {clock(expected)}"
-                )
-            progress.phase("learning", expected)
-            learning = time.monotonic()
-            with interrupts.waiting():
-                state, metrics, int_reward = jax.block_until_ready(update(state, batch))
-            expected = time.monotonic() - learning
+            metrics, int_reward = self.learn(batch)
             gone = time.monotonic() - begun
-            records.wall_seconds += gone
+            times = {
+                "steps_per_second": config.rows / gone,
+                "collect_seconds": collected - begun,
+                "update_seconds": self.expected,
+            }
+            self.records.wall_seconds += gone
             ended = episodes.take_in(
-                iteration * rows,
+                self.done * config.rows,
                 batch.rollout.valid,
                 batch.rollout.done,
-                (batch.reward, track.score, np.asarray(int_reward)),
+                (batch.reward, track.score, int_reward),
                 track.room,
             )
-            metrics = {name: np.asarray(value).tolist() for name, value in metrics.items()}
-            valid = batch.rollout.valid.sum((1, 2)).tolist()
-            lines = []
-            for i in range(len(self.seeds)):
-                records.transitions[i] += valid[i]
-                entry = {
-                    "iteration": iteration + 1,
-                    "step": (iteration + 1) * rows,
-                    "transitions": records.transitions[i],
-                    "frames": (iteration + 1) * rows * skip,
-                    **{name: value[i] for name, value in metrics.items()},
-                    "steps_per_second": rows / gone,
-                    "collect_seconds": collected - begun,
-                    "update_seconds": expected,
-                    "wall_seconds": records.wall_seconds,
-                    "rss_mb": rss_mb(),
-                }
-                lines.append(records.take_in(i, ended[i], entry))
-            records.flush()
+            self.done += 1
+            lines = self.log(batch, metrics, ended, times)
             progress.iteration(mean_line(lines))
-            last = iteration + 1 == config.iterations
-            due = (iteration + 1) % config.checkpoint_every == 0
-            if last or due or time.monotonic() - saved > CHECKPOINT_SECONDS:
-                progress.phase("saving")
-                self.checkpoints.save(iteration + 1, state)
-                records.summarize((iteration + 1) * rows)
-                saved = time.monotonic()
+            for line in lines:
+                for warning in signs[line["seed"]].take_in(line):
+                    progress.say(warning)
+            due = self.done % config.checkpoint_every == 0 or gone > LONG_SECONDS
+            if due or time.monotonic() - self.saved > CHECKPOINT_SECONDS:
+                self.save()
+        self.save()
+        progress.phase("saving")
+        self.checkpoints.wait()
+
+    def collect(self, collector: Collector) -> tuple[sndjax.Experience, Track]:
+        """The next rollout."""
+        assert self.state is not None
+        self.progress.phase("collecting")
+
+        def stepped(step: int) -> None:
+            self.interrupts.check()
+            self.progress.within(step / self.config.rollout_length)
+
+        actor = sndjax.Actor(self.state.policy, self.state.observations, self.state.key)
+        return collector.collect(actor, stepped)
+
+    def learn(self, batch: sndjax.Experience) -> tuple[dict[str, list[float]], np.ndarray]:
+        """Update every seed's state; their metrics and intrinsic rewards, [S, ...].
+
+        Raises:
+          FloatingPointError: with on_nan=stop, a number is not finite.
+        """
+        state = self.state
+        assert state is not None
+        if self.update is None:
+            self.compile(state, batch)
+        stop = self.config.on_nan == "stop"
+        # The update uses the state's memory again. On the disk or here, one copy stays.
+        before = self.copy(state) if stop and self.checkpoints.newest != self.done else None
+        self.progress.phase("learning", self.expected)
+        begun = time.monotonic()
+        with self.interrupts.waiting(GRACE_SECONDS):
+            self.state = None
+            state, found, reward = jax.block_until_ready(self.update(state, batch))
+        self.expected = time.monotonic() - begun
+        metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
+        wrong = not_finite(self.seeds, batch, metrics) if stop else []
+        if wrong:
+            self.stop(wrong, before, batch)
+        self.state = state
+        return metrics, np.asarray(reward)
+
+    def compile(self, state: sndjax.TrainState, batch: sndjax.Experience) -> None:
+        """Compile the update, and estimate how long one takes."""
+        self.progress.phase("compiling the update")
+        begun = time.monotonic()
+        with self.interrupts.waiting():
+            traced = self.train_step.trace(state, batch)
+            self.update = traced.lower().compile()
+        self.expected = seconds(traced.jaxpr.jaxpr)
+        return_freed_memory()
+        self.progress.say(
+            f"update compiled in {time.monotonic() - begun:.0f} s; "
+            f"each takes about {clock(self.expected)}"
+        )
+
+    def stop(
+        self, wrong: list[str], before: sndjax.TrainState | None, batch: sndjax.Experience
+    ) -> None:
+        """Leave what is needed to see what went wrong, and to go on from before it.
+
+        Raises:
+          FloatingPointError: always.
+        """
+        if before is None:
+            like = jax.eval_shape(self.fresh)
+            before = self.checkpoints.restore(like, lambda manifest: None)[1]
+            assert before is not None
+        self.state = before
+        self.save()
+        where = self.path / f"wrong-{self.done + 1}"
+        dump(where, self.config, versions(), before, batch)
+        self.checkpoints.wait()
+        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        raise FloatingPointError(
+            f"iteration {self.done + 1}, {wrong[0]}{more}; the last good checkpoint is that of "
+            f"iteration {self.done}; to see why: python -m experiments.replay {where}"
+        )
+
+    def log(
+        self,
+        batch: sndjax.Experience,
+        metrics: dict[str, list[float]],
+        ended: list[list[Any]],
+        times: dict[str, Any],
+    ) -> list[dict[str, Any]]:
+        """A line for every seed."""
+        records, config = self.records, self.config
+        step = self.done * config.rows
+        valid = batch.rollout.valid.sum((1, 2)).tolist()
+        lines = []
+        for i in range(len(self.seeds)):
+            records.transitions[i] += valid[i]
+            entry = {
+                "iteration": self.done,
+                "step": step,
+                "transitions": records.transitions[i],
+                "frames": step * int(config.env.options.get("frame_skip", 1)),
+                **{name: value[i] for name, value in metrics.items()},
+                **times,
+                "wall_seconds": records.wall_seconds,
+                "rss_mb": rss_mb(),
+            }
+            lines.append(records.take_in(i, ended[i], entry))
+        records.flush()
+        return lines
+
+    def save(self) -> None:
+        """Begin to write a checkpoint; what it says of the logs is on the disk before it is."""
+        assert self.state is not None
+        self.checkpoints.wait()
+        if self.checkpoints.newest == self.done:
+            return
+        self.records.summarize(self.done * self.config.rows)
+        manifest = self.records.manifest() | {"settings": settings(self.config)}
+        self.checkpoints.save(self.done, self.state, manifest)
+        self.saved = time.monotonic()
+
+    def save_before_leaving(self) -> None:
+        """A checkpoint of this moment, unless the state is inside an update that was broken off."""
+        self.progress.phase("saving")
+        if self.state is not None:
+            self.save()
+        self.checkpoints.wait()
 
 
 def mean_line(lines: list[dict[str, Any]]) -> dict[str, Any]:
@@ -263,12 +302,15 @@ def mean_line(lines: list[dict[str, Any]]) -> dict[str, Any]:
     return mean | {"step": lines[0]["step"]}
 
 
-def train(config: Config, directory: Directory) -> None:
+def train(config: Config, directory: Directory, interrupts: Interrupts) -> None:
     """Train the configuration in its directory, or go on with what is there.
 
     Raises:
       ConfigError: the task or the checkpoint refuses the configuration; nothing was written yet.
+      FloatingPointError: a number is not finite.
+      Interrupted: by a signal.
+      OSError: the run cannot be written.
     """
     run = Run(config, directory)
-    directory.begin(config, versions())
-    run.train()
+    run.said += directory.begin(config, versions())
+    run.train(interrupts)

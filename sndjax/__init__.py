@@ -22,6 +22,7 @@ from sndjax.algorithms import (
     sp_vinv,
 )
 from sndjax.grid import Recipe, cell, grid
+from sndjax.guard import all_finite, skip_nonfinite
 from sndjax.module import compose
 from sndjax.networks import ATARI, PROCGEN, VECTOR, ActorCritic, Architecture, Encoder, Perceptron
 from sndjax.objectives.barlow_twins import barlow_twins, barlow_twins_loss
@@ -91,6 +92,7 @@ __all__ = [
     "View",
     "__version__",
     "act",
+    "all_finite",
     "barlow_twins",
     "barlow_twins_loss",
     "byol",
@@ -127,6 +129,7 @@ __all__ = [
     "rnd",
     "scale_reward",
     "simhash",
+    "skip_nonfinite",
     "snd_barlow",
     "snd_byol",
     "snd_std",

@@ -4,13 +4,14 @@ from typing import cast
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array
 
 from sndjax.convolution import to_float
 from sndjax.networks import Encoder
 from sndjax.preprocessing import Preprocess, preprocessor
 from sndjax.rollout import without_invalid
-from sndjax.statistics import no_moments, update_moments
+from sndjax.statistics import feature_spread, no_moments, update_moments
 from sndjax.types import Average, Encode, Features, IntrinsicModule, Objective, Signal, View
 
 
@@ -100,6 +101,7 @@ def compose(
         total, metrics = signal.loss(
             params["signal"], state["signal"], seen, features, batch, key_signal
         )
+        metrics = metrics | {"feature_spread": feature_spread(lax.stop_gradient(z), batch.valid)}
         if objective is None:
             return total, metrics
         more = {}

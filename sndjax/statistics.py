@@ -65,6 +65,16 @@ def batch_moments(x: Float[Array, "B *shape"], valid: Bool[Array, " B"]) -> Mome
     return Moments(jnp.sum(valid, dtype=x.dtype), mean, masked_sum((x - mean[None]) ** 2, valid))
 
 
+def feature_spread(z: Float[Array, "B d"], valid: Bool[Array, " B"]) -> Float[Array, ""]:
+    """How far features are apart: sqrt(mean over d of their variance over the valid rows).
+
+    >>> feature_spread(jnp.array([[0.0, 3.0], [4.0, 3.0]]), jnp.array([True, True]))
+    Array(1.4142135, dtype=float32)
+    """
+    moments = batch_moments(z, valid)
+    return jnp.sqrt(jnp.mean(moments.m2 / jnp.maximum(moments.samples, 1)))
+
+
 def update_moments(
     moments: Moments, x: Array, valid: Bool[Array, "T N"], to_float=lambda x: x
 ) -> Moments:

@@ -122,13 +122,13 @@ def train_policy(
     def minibatch(carry, index):
         params, optimizer_state = carry
         seen = stacks(index)
-        gradient, metrics = jax.grad(loss, has_aux=True)(
+        (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(
             params,
             jnp.where(expand(valid[index], seen), seen, jnp.zeros_like(seen)),
             *(c[index] for c in columns),
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
-        metrics["grad_norm"] = optax.tree.norm(gradient)
+        metrics |= {"ppo_loss": total, "grad_norm": optax.tree.norm(gradient)}
         return (optax.apply_updates(params, updates), optimizer_state), metrics
 
     (policy, optimizer_state), metrics = lax.scan(
@@ -155,12 +155,12 @@ def train_module(
     def minibatch(carry, inputs):
         params, optimizer_state, module_state = carry
         index, key = inputs
-        gradient, metrics = jax.grad(module.loss, has_aux=True)(
+        (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
             params, module_state, transitions(rollout, index), rollout, key
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         params = optax.apply_updates(params, updates)
-        metrics["module_grad_norm"] = optax.tree.norm(gradient)
+        metrics |= {"module_loss": total, "module_grad_norm": optax.tree.norm(gradient)}
         return (params, optimizer_state, module.update(params, module_state)), metrics
 
     start = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)

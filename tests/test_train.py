@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sndjax
-from experiments.training import first_states, over_seeds
+from experiments.agents import first_states, over_seeds
 from sndjax import ppo
 from sndjax.algorithms import NAMED
 from sndjax.train import train_module

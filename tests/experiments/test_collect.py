@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import sndjax
+from experiments.agents import build, first_states, over_seeds
 from experiments.collect import Collector
 from experiments.config import load
 from experiments.environments import make_pool
-from experiments.training import build, first_states, over_seeds
 from sndjax.rollout import stacker
 
 

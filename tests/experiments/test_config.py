@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments import config, options
+from experiments import config, options, validate
 from experiments.options import Config, ConfigError, PPOConfig
 from sndjax import Hyperparameters
 from sndjax.algorithms import NAMED
@@ -64,10 +64,10 @@ def test_the_thesis_configuration_is_the_default():
 def test_the_laboratory_and_the_library_have_the_same_hyperparameters():
     ours = {f.name: f.default for f in dataclasses.fields(PPOConfig)}
     assert ours == Hyperparameters()._asdict()
-    assert {*NAMED, "grid", "module"} == set(config.choices("algo"))
-    assert set(OBJECTIVES) == set(config.OBJECTIVES)
+    assert {*NAMED, "grid", "module"} == set(validate.choices("algo"))
+    assert set(OBJECTIVES) == set(options.OBJECTIVES)
     assert set(SIGNALS) == set(options.SIGNALS)
-    assert set(config.COPYING) == set(COPYING)
+    assert set(options.COPYING) == set(COPYING)
 
 
 def test_a_named_algorithm_records_the_cell_it_is():
@@ -78,37 +78,12 @@ def test_a_named_algorithm_records_the_cell_it_is():
         assert made.signal == kind
 
 
-def test_a_task_that_is_code_is_named_on_the_command_line_alone(tmp_path):
-    made = config.load(["env=gymnasium", "env.id=mine:Task-v0", "algo=rnd"])
-    (tmp_path / "config.yaml").write_text(config.to_yaml(made))
-    with pytest.raises(ConfigError, match="no stored file may name code"):
-        config.load([f"resume={tmp_path}"])
-    assert config.load([f"resume={tmp_path}", "env.id=mine:Task-v0"]).env.id == "mine:Task-v0"
-
-
 def test_any_cell_can_be_asked_for():
     made = config.load(
         ["env=Venture", "algo=grid", "algo.objective=barlow_twins", "algo.signal=noveld"]
     )
     assert (made.algo.name, made.algo.eta) == ("grid", 0.5)
     assert (made.algo.objective, made.algo.signal) == ("barlow_twins", "noveld")
-
-
-def test_a_bonus_of_ones_own_is_named_on_the_command_line_alone(tmp_path):
-    code = tmp_path / "bonus.py"
-    code.write_text("")
-    made = config.load(["env=MountainCar", f"algo.module={code}:mine"])
-    assert (made.algo.name, made.algo.module) == ("mine", f"{code}:mine")
-    (tmp_path / "config.yaml").write_text(config.to_yaml(made))
-    with pytest.raises(ConfigError, match="no stored file may name code"):
-        config.load([f"resume={tmp_path}"])
-    again = config.load([f"resume={tmp_path}", f"algo.module={code}:mine"])
-    assert again.algo.module == made.algo.module
-    named = f"algo.module={code}:snd_vic"
-    with pytest.raises(ConfigError, match="snd_vic is an algorithm"):
-        config.load(["env=MountainCar", named])
-    with pytest.raises(ConfigError, match="not other"):
-        config.load([f"resume={tmp_path}", "algo.module=other.py:mine"])
 
 
 def test_everything_can_be_overridden():
@@ -193,7 +168,7 @@ def test_bad_input_is_refused_in_one_line_that_helps(arguments, words):
 
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
-KEYS = st.one_of(st.sampled_from([name for name, _ in config.options()]), TEXT)
+KEYS = st.one_of(st.sampled_from([name for name, _ in validate.options()]), TEXT)
 VALUES = st.one_of(
     TEXT,
     st.integers().map(str),
@@ -213,32 +188,10 @@ def test_no_input_makes_a_traceback(pairs):
     assert isinstance(made, Config)
 
 
-def test_a_stored_configuration_reads_back_as_it_was(tmp_path):
-    made = config.load([*VENTURE, "seed=3", "algo.shuffle=true", "env.options.mode=1"])
-    (tmp_path / "config.yaml").write_text(config.to_yaml(made))
-    again = config.load([f"resume={tmp_path}"])
-    directory = {"run_dir": str(tmp_path), "resume": str(tmp_path)}
-    assert dataclasses.replace(made, **directory) == again
-    assert config.load([f"resume={tmp_path}", "env=Venture", "seed=3", "algo.eta=0.25"]) == again
-    for other, words in (("seed=4", "seed=3, not 4"), ("env=Pitfall", "env=Venture, not Pitfall")):
-        with pytest.raises(ConfigError, match=words):
-            config.load([f"resume={tmp_path}", other])
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "[1, 2]", "env: 3", "seed: many", "a: !!python/object/apply:os.system [ls]", "{", "x: 1"],
-)
-def test_a_stored_configuration_that_is_none_is_refused(tmp_path, text):
-    (tmp_path / "config.yaml").write_text(text)
-    with pytest.raises(ConfigError):
-        config.load([f"resume={tmp_path}"])
-
-
 def test_help_names_every_environment_algorithm_and_option():
     text = config.help_text()
-    names = [*config.choices("env"), *config.choices("algo")]
-    names += [name for name, _ in config.options()]
+    names = [*validate.choices("env"), *validate.choices("algo")]
+    names += [name for name, _ in validate.options()]
     for name in names:
         assert f"  {name}" in text
 

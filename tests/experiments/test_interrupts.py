@@ -1,5 +1,7 @@
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -11,6 +13,7 @@ from experiments.interrupts import Interrupted, Interrupts
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_waits_for_a_safe_point(number):
     with Interrupts() as interrupts:
+        interrupts.begin()
         os.kill(os.getpid(), number)
         time.sleep(0.01)  # nothing is raised here
         with pytest.raises(Interrupted) as stopped:
@@ -20,6 +23,7 @@ def test_a_signal_waits_for_a_safe_point(number):
 
 def test_a_wait_is_broken_off_at_once():
     with Interrupts() as interrupts:
+        interrupts.begin()
         threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
         begun = time.monotonic()
         with pytest.raises(Interrupted), interrupts.waiting():
@@ -27,6 +31,38 @@ def test_a_wait_is_broken_off_at_once():
         assert time.monotonic() - begun < 5
         with pytest.raises(Interrupted), interrupts.waiting():
             raise AssertionError("a signal that came before is not waited for")
+
+
+def test_a_wait_may_end_within_its_grace_and_is_broken_off_after_it():
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        with interrupts.waiting(5):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.2)  # it ends by itself: its result is kept
+        with pytest.raises(Interrupted):
+            interrupts.check()
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        begun = time.monotonic()
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        with pytest.raises(Interrupted), interrupts.waiting(0.3):
+            threading.Event().wait(10)
+        assert 0.25 < time.monotonic() - begun < 5
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_before_it_begins_a_signal_ends_the_process(number):
+    """Also where an exception would be swallowed."""
+    code = (
+        "import os, signal, time\nfrom experiments.interrupts import Interrupts\n"
+        "class Loud:\n    def __del__(self):\n"
+        f"        os.kill(os.getpid(), {int(number)}); time.sleep(1)\n"
+        "with Interrupts():\n    Loud(); print('went on')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + number
+    assert done.stdout == ""
+    assert done.stderr == "sndjax: interrupted before the first iteration\n"
 
 
 def test_handlers_are_put_back():

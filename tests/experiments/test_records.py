@@ -1,8 +1,10 @@
 import json
 import math
 
+import pytest
+
 from experiments.episodes import Episode
-from experiments.records import Records
+from experiments.records import Records, check_logs
 
 ENTRY = {
     "iteration": 1,
@@ -14,8 +16,10 @@ ENTRY = {
 }
 
 
-def filled(path, iterations=3):
-    records = Records(path, [4, 5], rooms=True, step=0)
+def filled(path, iterations=3, marked=0):
+    """Records of some iterations, and their manifest as it was after one of them."""
+    path.mkdir(exist_ok=True)
+    records, manifest = Records(path, [4, 5], rooms=True, marks={}), None
     for k in range(1, iterations + 1):
         for i in range(2):
             ended = [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)]
@@ -24,7 +28,9 @@ def filled(path, iterations=3):
             records.wall_seconds = line["wall_seconds"] = 2.0 * k
             records.take_in(i, ended, dict(line))
         records.flush()
-    return records
+        if k == marked:
+            manifest = records.manifest()
+    return (records, manifest) if marked else records
 
 
 def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
@@ -60,15 +66,16 @@ def test_summary_is_one_object_a_seed(tmp_path):
 
 
 def test_going_on_from_a_checkpoint_cuts_what_came_after_it_and_counts_what_was_before(tmp_path):
-    whole = filled(tmp_path / "a" if (tmp_path / "a").mkdir() is None else None, 4)
+    whole = filled(tmp_path / "a", 4)
     whole.summarize(32)
-    (tmp_path / "b").mkdir()
-    filled(tmp_path / "b", 3).close()
+    killed, manifest = filled(tmp_path / "b", 3, marked=2)
+    assert manifest["last100"] == 1.5
+    killed.close()
     with (tmp_path / "b" / "metrics.jsonl").open("a") as file:
         file.write('{"step": 8, "se')  # killed while writing
     with (tmp_path / "b" / "episodes.csv").open("a") as file:
         file.write("4,8")
-    records = Records(tmp_path / "b", [4, 5], rooms=True, step=16)
+    records = Records(tmp_path / "b", [4, 5], rooms=True, marks=manifest["logs"])
     assert records.transitions == [14, 14]
     assert records.wall_seconds == 4.0
     for k in (3, 4):
@@ -80,3 +87,20 @@ def test_going_on_from_a_checkpoint_cuts_what_came_after_it_and_counts_what_was_
     records.summarize(32)
     for name in ("metrics.jsonl", "episodes.csv", "summary.json"):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
+
+
+def test_logs_that_were_changed_before_the_checkpoint_do_not_fit_it(tmp_path):
+    records, manifest = filled(tmp_path / "a", 3, marked=2)
+    records.close()
+    check_logs(tmp_path / "a", manifest["logs"])
+    path = tmp_path / "a" / "episodes.csv"
+    path.write_text(path.read_text().replace("5,8,3,1.0", "5,8,3,9.0"))
+    with pytest.raises(ValueError, match=r"episodes.csv is not what was written"):
+        check_logs(tmp_path / "a", manifest["logs"])
+
+
+def test_without_a_checkpoint_the_logs_begin_again(tmp_path):
+    filled(tmp_path / "a", 3).close()
+    Records(tmp_path / "a", [4, 5], rooms=True, marks={}).close()
+    assert (tmp_path / "a" / "metrics.jsonl").read_text() == ""
+    assert len((tmp_path / "a" / "episodes.csv").read_text().splitlines()) == 1

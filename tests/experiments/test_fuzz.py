@@ -1,0 +1,190 @@
+"""Thousands of bad inputs: a line each and status 2, no traceback, nothing half-written."""
+
+import json
+import random
+import re
+import shutil
+import string
+
+import pytest
+from test_run import CAR, start
+
+from experiments import training, validate
+from experiments.options import ConfigError
+from experiments.run import main
+from experiments.stored import read
+
+KEYS = [*(name for name, _ in validate.options()), "env", "algo"]
+WORDS = [
+    "", "0", "1", "-1", "2.5", "1e400", "nan", "inf", "-inf", "null", "true", "[]", "[1,2]", "{}",
+    "{a:1}", "${x}", "${oc.env:HOME}", "${now:%Y}", "a,b", "range(3)", "'", '"', "\\", "[", "{",
+    "(", "a b", "=", "==", "../../x", "/proc/x", "/dev/null", "~", "\n", "\t", "é", "雪",
+    "9" * 400, "x" * 5000, "!!python/object:os.system", "auto", "Venture", "ppo", "rnd", "grid",
+    "vicreg", "e3b", "sign", "goal", "Pong-v5", "NoSuch-v0", "a:b", "os:system", "x.py:f",
+]  # fmt: skip
+SWEEPS = ("-m", "--multirun", "--config", "--cfg=job", "-cd", "--", "-", "hydra.run.dir=x", "+a=1")
+
+
+def word(draw):
+    """A value: a known troublemaker, a number, or noise."""
+    kind = draw.random()
+    if kind < 0.6:
+        return draw.choice(WORDS)
+    if kind < 0.8:
+        return str(draw.choice([draw.randint(-(2**70), 2**70), draw.uniform(-1e3, 1e3)]))
+    return "".join(draw.choice(string.printable) for _ in range(draw.randint(0, 12)))
+
+
+def argument(draw):
+    """One argument, more or less like an option."""
+    kind = draw.random()
+    if kind < 0.05:
+        return draw.choice(SWEEPS)
+    if kind < 0.1:
+        return word(draw)
+    key = draw.choice(KEYS)
+    if kind < 0.2:  # a slip of the finger
+        at = draw.randrange(len(key))
+        key = key[:at] + draw.choice(["", "_", ".", "x"]) + key[at + 1 :]
+    return draw.choice(["", "", "", "+", "++", "~"]) + key + "=" + word(draw)
+
+
+def command(draw):
+    """A valid beginning, sometimes, and arguments that are mostly wrong."""
+    begin = draw.choice([[], CAR, ["env=MountainCar", "algo=rnd"], ["env=Venture", "algo=snd_std"]])
+    made = [*begin, *(argument(draw) for _ in range(draw.randint(0, 3)))]
+    return [a for a in made if "\0" not in a]  # which no command line can hold
+
+
+def one_line(err):
+    assert "Traceback" not in err, err
+    assert len(err.strip("\n").splitlines()) == 1, err
+    assert err.startswith("sndjax: "), err
+
+
+@pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.survival)])
+def test_no_command_line_makes_a_traceback_or_a_trace(count, tmp_path, monkeypatch, capfd):
+    """In this process; what is accepted is not trained."""
+    monkeypatch.chdir(tmp_path)
+    accepted = []
+    monkeypatch.setattr(
+        training, "train", lambda config, directory, interrupts: accepted.append(directory.path)
+    )
+    draw, refused = random.Random(count), 0
+    for _ in range(count):
+        arguments = command(draw)
+        before = len(accepted)
+        try:
+            status = main(arguments)
+        except BaseException as error:
+            raise AssertionError(f"{arguments}") from error
+        err = capfd.readouterr().err
+        if len(accepted) > before or (status == 0 and {"-h", "--help", "help"} & {*arguments}):
+            for entry in tmp_path.iterdir():
+                shutil.rmtree(entry)
+            continue
+        assert status == 2, arguments
+        one_line(err)
+        assert not any(tmp_path.iterdir()), arguments
+        refused += 1
+    print(f"{count} command lines, {refused} refused")
+    assert refused > count / 2
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(40, marks=pytest.mark.survival)])
+def test_nor_does_one_that_a_shell_starts(count, tmp_path):
+    draw = random.Random(count + 1)
+    tried = 0
+    while tried < count:
+        arguments = ["env=MountainCar", "algo=rnd", "num_envs=2", "rollout_length=4"]
+        arguments += ["ppo.minibatch_size=8", "algo.minibatch_size=8", "total_steps=8"]
+        given = {a.split("=")[0] for a in arguments}
+        more = [argument(draw) for _ in range(draw.randint(1, 3))]
+        if any(a.lstrip("+~").split("=")[0] in given or len(a) > 10000 for a in more):
+            continue
+        try:
+            process = start([*arguments, *more], tmp_path)
+        except ValueError:
+            continue  # a null byte
+        tried += 1
+        with process:
+            _, err = process.communicate(timeout=120)
+        assert process.returncode in (0, 1, 2), (more, err)
+        if process.returncode == 2:
+            one_line(err)
+            assert not any(tmp_path.iterdir()), more
+        assert "Traceback" not in err, (more, err)
+        for entry in tmp_path.iterdir():
+            shutil.rmtree(entry)
+
+
+def harmed(data, draw):
+    """Bytes with some flipped, cut, doubled, or put in."""
+    data = bytearray(data)
+    for _ in range(draw.randint(1, 3)):
+        at = draw.randrange(len(data) + 1)
+        kind = draw.random()
+        if kind < 0.4 and at < len(data):
+            data[at] ^= 1 << draw.randrange(8)
+        elif kind < 0.6:
+            del data[at : at + draw.choice([1, 10, 10**9])]
+        elif kind < 0.8:
+            data[at:at] = data[at : at + 50]
+        else:
+            data[at:at] = draw.choice(
+                ["${oc.env:HOME}", "!!python/name:os", "&a [*a]", ": ", "\0"]
+            ).encode()
+    return bytes(data)
+
+
+def longer(path):
+    """Whether a harmed configuration is still one, of a run too long for a test."""
+    try:
+        return read(path).config.total_steps > 10_000
+    except ConfigError:
+        return False
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(600, marks=pytest.mark.survival)])
+def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd):
+    """Each is gone on from by the real command: finished, or refused in a line and untouched."""
+    run, copy = tmp_path / "run", tmp_path / "copy"
+    arguments = [*CAR, "algo=ppo", "total_steps=512", "checkpoint_every=2"]
+    assert main([*arguments, f"run_dir={run}"]) == 0
+    draw, refused = random.Random(count), 0
+    files = [p.relative_to(run) for p in sorted(run.rglob("*")) if p.is_file()]
+    named = [p for p in files if p.name in ("config.yaml", "metrics.jsonl", "episodes.csv")]
+    rest = [p for p in files if "checkpoints" in p.parts]
+    for _ in range(count):
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(run, copy)
+        target = copy / draw.choice(named if draw.random() < 0.5 else rest)
+        target.write_bytes(harmed(target.read_bytes(), draw))
+        if longer(copy / "config.yaml"):
+            continue
+        found = {p: p.read_bytes() for p in copy.rglob("*") if p.is_file()}
+        capfd.readouterr()
+        status = main([f"resume={copy}"])
+        err = capfd.readouterr().err
+        if status == 2:
+            refused += 1
+            one_line(err)
+            left = {p: p.read_bytes() for p in copy.rglob("*") if p.is_file()}
+            assert left == found, target
+        else:
+            assert status == 0, (target, err)
+            assert err == "", (target, err)
+            entries = (copy / "metrics.jsonl").read_text().splitlines()
+            iterations = [json.loads(entry)["iteration"] for entry in entries]
+            assert iterations == list(range(1, max(4, len(entries)) + 1))
+    print(f"{count} damaged files, {refused} refused, the others gone on from")
+
+
+def test_a_directory_from_elsewhere_executes_nothing():
+    """No pickle, no eval: the only readers of stored data in the tree are these."""
+    readers = re.compile(r"pickle|\beval\(|\bexec\(|yaml\.(load|unsafe)|np\.load")
+    root = validate.CONF.parents[1]
+    files = [*(root / "sndjax").rglob("*.py"), *(root / "experiments").rglob("*.py")]
+    found = [f.name for f in files for line in f.read_text().splitlines() if readers.search(line)]
+    assert len(files) > 40
+    assert found == ["stored.py"]  # with the loader that makes plain data only

@@ -1,0 +1,38 @@
+import hashlib
+
+import pytest
+
+from experiments.log import Log, holds
+
+
+def test_a_log_goes_on_at_its_mark(tmp_path):
+    path = tmp_path / "log"
+    log = Log(path)
+    log.write("one\n")
+    mark = log.mark()
+    assert mark == {"bytes": 4, "sha256": hashlib.sha256(b"one\n").hexdigest()}
+    log.write("two, half a li")
+    log.close()
+    again = Log(path, mark)
+    again.write("zwei\n")
+    assert again.mark()["sha256"] == hashlib.sha256(b"one\nzwei\n").hexdigest()
+    again.close()
+    assert path.read_text() == "one\nzwei\n"
+    Log(path).close()
+    assert path.read_text() == ""
+
+
+def test_a_log_that_is_not_what_was_marked_is_refused_and_left_alone(tmp_path):
+    path = tmp_path / "log"
+    log = Log(path)
+    log.write("one\ntwo\n")
+    mark = log.mark()
+    log.close()
+    for text, words in (("one\ntwp\n", "not what"), ("one\n", "not what"), (None, "missing")):
+        path.unlink() if text is None else path.write_text(text)
+        with pytest.raises(ValueError, match=words):
+            holds(path, mark)
+        with pytest.raises(ValueError, match=words):
+            Log(path, mark)
+        assert path.exists() == (text is not None)
+        assert text is None or path.read_text() == text

@@ -1,0 +1,110 @@
+"""The same again: the same bits from the same command, and from a learner that was interrupted."""
+
+import json
+import subprocess
+import sys
+
+import jax
+import numpy as np
+from test_run import CAR, lines, start, without_clock
+
+from experiments.agents import build, first_states
+from experiments.checkpoint import Checkpoints
+from experiments.config import load
+from experiments.environments import make_pool
+
+
+def tree_of(path, config=None):
+    """The newest checkpoint of a run, as plain arrays."""
+    config = config or load([f"resume={path}"])
+    seeds = [config.seed + i for i in range(config.num_seeds)]
+    pool = make_pool(config.env, seeds, config.num_envs)
+    agent = build(config, pool)
+    example = np.zeros((config.num_envs, *pool.shape), pool.dtype)
+    like = jax.eval_shape(lambda: first_states(agent, seeds, example))
+    iteration, state, _, said = Checkpoints(path).restore(like, lambda manifest: None)
+    assert not said
+    return iteration, jax.tree.leaves(state._replace(key=jax.random.key_data(state.key)))
+
+
+def test_the_same_command_alone_and_twice_at_once_gives_the_same_bits(tmp_path):
+    arguments = [*CAR, "algo=snd_vic", "total_steps=4096", "num_seeds=2"]
+    begin = lambda name: start([*arguments, f"run_dir={tmp_path / name}"], tmp_path)
+    for names in ("a", "bc"):
+        processes = [begin(name) for name in names]
+        for process in processes:
+            with process:
+                _, err = process.communicate(timeout=300)
+            assert process.returncode == 0, err
+    again = [f"repeat={tmp_path / 'a' / 'config.yaml'}", f"run_dir={tmp_path / 'd'}"]
+    with start(again, tmp_path) as process:
+        _, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    (at, first), entries = tree_of(tmp_path / "a"), without_clock(lines(tmp_path / "a"))
+    assert at == 32
+    assert len(entries) == 64
+    for name in "bcd":
+        path = tmp_path / name
+        assert without_clock(lines(path)) == entries
+        episodes = (path / "episodes.csv").read_bytes()
+        assert episodes == (tmp_path / "a" / "episodes.csv").read_bytes()
+        iteration, other = tree_of(path)
+        assert iteration == at
+        for one, two in zip(first, other, strict=True):
+            np.testing.assert_array_equal(one, two)
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    assert [seed["seed"] for seed in summary["seeds"]] == [0, 1]
+    assert summary["seeds"][0]["episodes"] > 0
+
+
+def test_a_learner_interrupted_and_resumed_on_a_recorded_rollout_gives_the_same_bits(tmp_path):
+    """Three updates in a row, against one, a checkpoint, a new process's start, and two more."""
+    code = """
+import pickle, sys
+from functools import partial
+import jax, numpy as np
+from experiments.agents import build, first_states, over_seeds
+from experiments.checkpoint import Checkpoints
+from experiments.collect import Collector
+from experiments.config import load
+from experiments.environments import make_pool
+from experiments.training import make_train_step
+from pathlib import Path
+import sndjax
+
+place, part = Path(sys.argv[1]), sys.argv[2]
+config = load("env=MountainCar algo=snd_vic num_envs=4 rollout_length=32 num_seeds=2 "
+              "ppo.minibatch_size=64 algo.minibatch_size=64".split())
+pool = make_pool(config.env, [0, 1], 4)
+agent = build(config, pool)
+fresh = lambda: first_states(agent, [0, 1], np.zeros((4, *pool.shape), pool.dtype))
+step = jax.jit(make_train_step(agent, config))
+checkpoints = Checkpoints(place)
+if part == "whole":
+    state = fresh()
+    act = jax.jit(over_seeds(partial(sndjax.act, agent), 2, shared=1))
+    collector = Collector(pool, act, 1, 32, 2)
+    batches = []
+    for i in range(3):
+        actor = sndjax.Actor(state.policy, state.observations, state.key)
+        batch, _ = collector.collect(actor)
+        batches.append(jax.tree.map(np.array, batch))
+        state, *_ = step(state, batches[-1])
+        if i == 0:
+            checkpoints.save(1, state, {})
+            checkpoints.wait()
+    (place / "batches").write_bytes(pickle.dumps(batches))  # our own, of this test
+else:
+    _, state, _, _ = checkpoints.restore(jax.eval_shape(fresh), lambda manifest: None)
+    for batch in pickle.loads((place / "batches").read_bytes())[1:]:
+        state, *_ = step(state, batch)
+state = state._replace(key=jax.random.key_data(state.key))
+leaves = [np.asarray(x) for x in jax.tree.leaves(state)]
+np.savez(place / part, *leaves)
+"""
+    for part in ("whole", "resumed"):
+        subprocess.run([sys.executable, "-c", code, str(tmp_path), part], check=True)
+    with np.load(tmp_path / "whole.npz") as whole, np.load(tmp_path / "resumed.npz") as resumed:
+        assert len(whole.files) > 50
+        for name in whole.files:
+            np.testing.assert_array_equal(whole[name], resumed[name])

@@ -1,0 +1,136 @@
+import dataclasses
+
+import pytest
+
+from experiments.config import load
+from experiments.options import ConfigError
+from experiments.stored import Stored, read, to_yaml
+
+VENTURE = ["env=Venture", "algo=snd_std"]
+
+
+def text_of(made):
+    return to_yaml(Stored(made, {"jax": "1.2.3"}))
+
+
+def test_a_task_that_is_code_is_named_on_the_command_line_alone(tmp_path):
+    made = load(["env=gymnasium", "env.id=mine:Task-v0", "algo=rnd"])
+    (tmp_path / "config.yaml").write_text(text_of(made))
+    with pytest.raises(ConfigError, match="no stored file may name code"):
+        load([f"resume={tmp_path}"])
+    assert load([f"resume={tmp_path}", "env.id=mine:Task-v0"]).env.id == "mine:Task-v0"
+
+
+def test_a_bonus_of_ones_own_is_named_on_the_command_line_alone(tmp_path):
+    code = tmp_path / "bonus.py"
+    code.write_text("")
+    made = load(["env=MountainCar", f"algo.module={code}:mine"])
+    assert (made.algo.name, made.algo.module) == ("mine", f"{code}:mine")
+    (tmp_path / "config.yaml").write_text(text_of(made))
+    with pytest.raises(ConfigError, match="no stored file may name code"):
+        load([f"resume={tmp_path}"])
+    again = load([f"resume={tmp_path}", f"algo.module={code}:mine"])
+    assert again.algo.module == made.algo.module
+    named = f"algo.module={code}:snd_vic"
+    with pytest.raises(ConfigError, match="snd_vic is an algorithm"):
+        load(["env=MountainCar", named])
+    with pytest.raises(ConfigError, match="not other"):
+        load([f"resume={tmp_path}", "algo.module=other.py:mine"])
+
+
+def test_a_stored_configuration_reads_back_as_it_was(tmp_path):
+    made = load([*VENTURE, "seed=3", "algo.shuffle=true", "env.options.mode=1"])
+    (tmp_path / "config.yaml").write_text(text_of(made))
+    again = load([f"resume={tmp_path}"])
+    directory = {"run_dir": str(tmp_path), "resume": str(tmp_path)}
+    assert dataclasses.replace(made, **directory) == again
+    assert load([f"resume={tmp_path}", "env=Venture", "seed=3", "algo.eta=0.25"]) == again
+    for other, words in (("seed=4", "seed=3, not 4"), ("env=Pitfall", "env=Venture, not Pitfall")):
+        with pytest.raises(ConfigError, match=words):
+            load([f"resume={tmp_path}", other])
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[1, 2]", "env: 3", "seed: many", "a: !!python/object/apply:os.system [ls]", "{", "x: 1"],
+)
+def test_a_stored_configuration_that_is_none_is_refused(tmp_path, text):
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(ConfigError):
+        load([f"resume={tmp_path}"])
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A directory with the configuration of a run in it."""
+    made = load([*VENTURE, "seed=3", "total_steps=100000"])
+    (tmp_path / "config.yaml").write_text(text_of(made))
+    return tmp_path
+
+
+def test_a_stored_configuration_says_what_it_was_made_with(run):
+    assert read(run / "config.yaml").made_with == {"jax": "1.2.3"}
+
+
+BOMB = "a: &a [1, 1]\nb: &b [*a, *a]\nc: [*b, *b]"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (BOMB, "has an alias"),
+        ("seed: ${oc.env:HOME}", "reference"),
+        ("made_with: 3", "made_with"),
+        ("env: {name: a, id: b}\nalgo: {name: c}\nseed: -1", "at least 0"),
+        ("env: {name: a, id: b, stack: 99}\nalgo: {name: c}", "at most 16"),
+        ("[" * 5000, "cannot be read"),
+        ("ppo: {clip: .nan}\nenv: {name: a, id: b}\nalgo: {name: c}", "must be finite"),
+    ],
+)
+def test_a_configuration_from_elsewhere_is_plain_data_in_its_ranges(run, text, words):
+    (run / "config.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        load([f"resume={run}"])
+
+
+def test_a_run_can_be_extended_and_not_shortened(run):
+    assert load([f"resume={run}", "total_steps=200000"]).total_steps == 200000
+    for value, words in (("1000", "not shortened"), ("many", "total_steps"), ("0", "at least 1")):
+        with pytest.raises(ConfigError, match=words):
+            load([f"resume={run}", f"total_steps={value}"])
+
+
+def test_auto_starts_a_run_where_there_is_none_and_goes_on_where_there_is_one(run, tmp_path):
+    same = [*VENTURE, "seed=3", "total_steps=100000", "resume=auto"]
+    begun = load([*same, f"run_dir={tmp_path / 'new'}"])
+    assert (begun.resume, begun.run_dir) == (None, str(tmp_path / "new"))
+    again = load([*same, f"run_dir={run}"])
+    assert (again.resume, again.run_dir) == (str(run), str(run))
+    more = [x.replace("100000", "200000") for x in same]
+    assert load([*more, f"run_dir={run}"]).total_steps == 200000
+    for other, words in (
+        ([*same, "ppo.clip=0.2"], "ppo.clip=0.1, not 0.2"),
+        ([x.replace("=3", "=4") for x in same], "seed=3, not 4"),
+        ([x.replace("100000", "1000") for x in same], "not shortened"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            load([*other, f"run_dir={run}"])
+    with pytest.raises(ConfigError, match="say which"):
+        load(same)
+
+
+def test_a_run_is_repeated_in_a_directory_of_its_own(run):
+    path = run / "config.yaml"
+    again = load([f"repeat={path}"])
+    assert again == dataclasses.replace(read(path).config, repeat=str(path))
+    assert (again.run_dir, again.resume) == (None, None)
+    assert load([f"repeat={path}", "run_dir=other"]).run_dir == "other"
+    for more, words in (
+        ("seed=4", "seed=3, not 4"),
+        ("total_steps=200000", "another run"),
+        ("resume=auto", "begins a run anew"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            load([f"repeat={path}", more])
+    with pytest.raises(ConfigError, match="no such file"):
+        load([f"repeat={run}"])

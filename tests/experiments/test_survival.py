@@ -1,0 +1,240 @@
+"""Runs that are killed, starved of disk, damaged and repeated: nothing is lost.
+
+`make test-survival` does it in the numbers that docs/survival.md reports.
+"""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+from test_boards import events
+from test_run import CAR, lines, without_clock
+from test_run import start as start_with_pipes
+from test_same_again import tree_of
+
+from experiments.config import load
+from experiments.run import main
+
+start = partial(start_with_pipes, out=subprocess.DEVNULL)  # a pipe that nobody reads gets full
+survival = pytest.mark.survival
+
+
+def check_nothing_lost(path, iterations, seeds=1):
+    """Every iteration once in every log, and the logs agree with each other."""
+    entries = lines(path)
+    assert [(e["iteration"], e["seed"]) for e in entries] == [
+        (i, s) for i in range(1, iterations + 1) for s in range(seeds)
+    ]
+    rows = [row.split(",") for row in (path / "episodes.csv").read_text().splitlines()[1:]]
+    for seed in range(seeds):
+        steps = [int(row[1]) for row in rows if int(row[0]) == seed]
+        own = [e for e in entries if e["seed"] == seed]
+        assert steps == sorted(steps)
+        for entry in own:
+            assert entry["episodes"] == sum(step <= entry["step"] for step in steps)
+            assert entry["transitions"] <= entry["step"]
+        board = events(path / "tensorboard" / f"seed_{seed}")[2:]
+        assert [event.step for event in board] == [e["step"] for e in own]
+    summary = json.loads((path / "summary.json").read_text())["seeds"]
+    assert sum(seed["episodes"] for seed in summary) == len(rows)
+
+
+def prefix(path):
+    """The lines of metrics.jsonl that its newest checkpoint answers for."""
+    newest = max((int(p.name) for p in (path / "checkpoints").glob("[0-9]*")), default=0)
+    return [e for e in without_clock(whole_lines(path)) if e["iteration"] <= newest]
+
+
+def size_of(path):
+    try:
+        return (path / "metrics.jsonl").stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
+def whole_lines(path):
+    try:
+        text = (path / "metrics.jsonl").read_text()
+    except FileNotFoundError:
+        return []
+    return [json.loads(line) for line in text.split("\n")[:-1]]
+
+
+def until(path, command, more, number=signal.SIGTERM):
+    """Run until metrics.jsonl has so many lines more than it had, then stop it."""
+    wanted = len(whole_lines(path)) + more
+    with start(command, path.parent) as process:
+        while len(whole_lines(path)) < wanted:
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.05)
+        process.send_signal(number)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 128 + number, err
+
+
+@pytest.mark.parametrize("kills", [5, pytest.param(50, marks=survival)])
+def test_a_run_that_is_killed_at_random_moments_loses_nothing(kills, tmp_path):
+    path, draw = tmp_path / "run", random.Random(kills)
+    command = [*CAR, "algo=rnd", "num_seeds=2", "checkpoint_every=3", "resume=auto"]
+    command += ["total_steps=100_000_000", f"run_dir={path}"]
+    kept, killed = [], 0
+    while killed < kills:
+        with start(command, tmp_path) as process:
+            if killed % 3 == 0:
+                time.sleep(draw.uniform(0, 8))  # mostly before the first iteration
+            else:
+                size = size_of(path)
+                while size_of(path) == size:
+                    assert process.poll() is None, process.communicate()
+                    time.sleep(0.01)
+                time.sleep(draw.uniform(0, 3))
+            number = draw.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+            process.send_signal(number)
+            begun = time.monotonic()
+            _, err = process.communicate(timeout=60)
+        assert time.monotonic() - begun < 10
+        assert "Traceback" not in err, err
+        assert process.returncode in (-number, 128 + number)
+        killed += 1
+        now = prefix(path)
+        assert now[: len(kept)] == kept  # what a checkpoint once answered for stays as it was
+        kept = now
+    until(path, command, 20)
+    print(f"{kills} kills, {len(lines(path))} lines, none lost")
+    check_nothing_lost(path, len(lines(path)) // 2, seeds=2)
+    assert without_clock(lines(path))[: len(kept)] == kept
+
+
+def test_sigterm_during_an_update_is_answered_within_ten_seconds(tmp_path):
+    """An update of minutes is broken off; the last checkpoint stands."""
+    path = tmp_path / "run"
+    command = [
+        "env=MountainCar",
+        "algo=rnd",
+        "num_envs=64",
+        "rollout_length=512",
+        "ppo.epochs=1000",
+    ]
+    command += ["ppo.minibatch_size=64", "total_steps=100_000_000", f"run_dir={path}"]
+    with start(command, tmp_path, out=subprocess.PIPE) as process:
+        for line in process.stdout:
+            if line.startswith("update compiled"):
+                break
+        time.sleep(1)
+        process.send_signal(signal.SIGTERM)
+        begun = time.monotonic()
+        _, err = process.communicate(timeout=60)
+        assert time.monotonic() - begun < 10
+    assert process.returncode == 143, err
+    assert f"resume={path}" in err
+
+
+def test_sigterm_leaves_a_checkpoint_of_the_moment_and_the_run_can_be_extended(tmp_path):
+    path = tmp_path / "run"
+    until(path, [*CAR, "algo=rnd", "total_steps=100_000_000", f"run_dir={path}"], 7)
+    iteration, _ = tree_of(path)
+    assert iteration == len(lines(path)) >= 7
+    check_nothing_lost(path, iteration)
+    kept = without_clock(lines(path))
+    until(path, [f"resume={path}", "total_steps=200_000_000"], 3, signal.SIGINT)
+    check_nothing_lost(path, len(lines(path)))
+    assert without_clock(lines(path))[:iteration] == kept
+    assert load([f"resume={path}"]).total_steps == 200_000_000
+
+
+def test_a_run_whose_newest_checkpoint_is_damaged_goes_on_from_the_one_before(tmp_path, capfd):
+    path = tmp_path / "run"
+    command = [*CAR, "algo=ppo", "total_steps=1024", "checkpoint_every=2", f"run_dir={path}"]
+    assert main(command) == 0
+    whole = without_clock(lines(path))
+    file = max((path / "checkpoints" / "8").rglob("*"), key=lambda p: p.stat().st_size)
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    assert main([f"resume={path}"]) == 0
+    out = capfd.readouterr().out
+    assert "checkpoint 8 cannot be used" in out
+    assert "going on from iteration 6" in out
+    check_nothing_lost(path, 8)
+    assert without_clock(lines(path))[:6] == whole[:6]
+    assert tree_of(path)[0] == 8  # a whole one now
+    for step in (path / "checkpoints").iterdir():
+        (step / "manifest.json").write_text("{}")
+    before = (path / "metrics.jsonl").read_bytes()
+    assert main([f"resume={path}"]) == 2
+    assert "nothing to go on from" in capfd.readouterr().err
+    assert (path / "metrics.jsonl").read_bytes() == before
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of three megabytes."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(place)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("may not mount a file system here")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.parametrize("room", [300, 900, 1500])  # kB beside which it starts
+def test_a_disk_that_fills_up_keeps_the_last_good_checkpoint(room, small_disk, tmp_path):
+    path = small_disk / "run"
+    command = [*CAR, "algo=rnd", "checkpoint_every=4", "total_steps=100_000_000", "resume=auto"]
+    command += [f"run_dir={path}"]
+    until(path, command, 9)
+    assert tree_of(path)[0] >= 9
+    used = sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
+    filler = small_disk / "filler"
+    filler.write_bytes(bytes(max(2_900_000 - used - room * 1000, 0)))
+    with start(command, tmp_path) as process:
+        _, err = process.communicate(timeout=300)
+    assert process.returncode == 1, err
+    assert len(err.splitlines()) == 1
+    assert "cannot write the run" in err
+    assert f"resume={path}" in err
+    stood, _ = tree_of(path)
+    assert stood >= 9
+    kept = [e for e in without_clock(whole_lines(path)) if e["iteration"] <= stood]
+    filler.unlink()
+    until(path, command, 6)
+    check_nothing_lost(path, len(lines(path)))
+    assert without_clock(lines(path))[:stood] == kept
+
+
+@survival
+def test_half_an_hour_is_held(tmp_path):
+    """Memory flat within 2%, no file left open, the rate steady."""
+    path, seconds = tmp_path / "run", 1800
+    command = ["env=MountainCar", "algo=snd_vic", "total_steps=10_000_000_000", f"run_dir={path}"]
+    with start(command, tmp_path) as process:
+        begun, files = time.monotonic(), []
+        while time.monotonic() - begun < seconds:
+            time.sleep(10)
+            assert process.poll() is None
+            files.append(len(os.listdir(f"/proc/{process.pid}/fd")))
+        process.send_signal(signal.SIGTERM)
+        process.wait(60)
+    entries = lines(path)
+    warm = [e for e in entries if e["wall_seconds"] > 120]
+    memory = [e["rss_mb"] for e in warm]
+    third = len(warm) // 3
+    rate = [
+        np.median([e["steps_per_second"] for e in part]) for part in (warm[:third], warm[-third:])
+    ]
+    print(
+        f"{len(entries)} iterations, {entries[-1]['step']} steps, memory {min(memory):.0f} to "
+        f"{max(memory):.0f} MB, files {min(files[6:])} to {max(files[6:])}, median rate of the "
+        f"first third {rate[0]:.0f}, of the last {rate[1]:.0f} steps/s"
+    )
+    check_nothing_lost(path, len(entries))
+    assert max(memory) < 1.02 * min(memory)
+    assert max(files[6:]) - min(files[6:]) <= 2  # a checkpoint being written
+    assert rate[1] > 0.9 * rate[0]
