@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,4 +44,5 @@ class Boards:
     def close(self) -> None:
         """Close the files."""
         for writer in self.writers.values():
-            writer.close()
+            with suppress(OSError):  # of a full disk; `flush` has said it
+                writer.close()

@@ -46,7 +46,11 @@ def family_of(task: str) -> str:
     known = envpool.list_all_envs()
     if task not in known:
         raise unknown("envpool task", task, known)
-    space = envpool.make_spec(task).action_space
+    try:
+        space = envpool.make_spec(task).action_space
+    except Exception as error:  # a task that needs files of its own, say
+        cause = (str(error) or type(error).__name__).splitlines()[0]
+        raise ConfigError(f"envpool cannot make {task}: {cause}") from None
     if not isinstance(space, gym.spaces.Discrete):
         raise ConfigError(
             f"env.id={task} has {type(space).__name__} actions of shape {space.shape}; "

@@ -8,6 +8,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import shutil
 import threading
 from collections.abc import Callable
@@ -43,7 +44,8 @@ class Checkpoints:
         """The iterations that have a checkpoint, in order."""
         if not self.path.is_dir():
             return []
-        return sorted(int(p.name) for p in self.path.iterdir() if p.name.isdigit())
+        names = [place.name for place in self.path.iterdir()]
+        return sorted(int(name) for name in names if re.fullmatch(r"[0-9]{1,12}", name))
 
     def save(self, iteration: int, state: TrainState, more: dict[str, Any]) -> None:
         """Begin to write the state, as it is now; one is written at a time.
@@ -76,13 +78,17 @@ class Checkpoints:
         Raises:
           OSError: it could not be written.
         """
-        if self.writer is not None:
-            self.writer.join()
-            self.writer = None
+        self.join()
         if self.error is not None:
             error, self.error = self.error, None
             cause = (str(error).strip() or type(error).__name__).splitlines()[0]
             raise OSError(f"a checkpoint: {cause}{self.standing()}") from error
+
+    def join(self) -> None:
+        """Return when nothing is being written."""
+        if self.writer is not None:
+            self.writer.join()
+            self.writer = None
 
     def standing(self) -> str:
         """The last good one, in words."""
@@ -103,18 +109,17 @@ class Checkpoints:
             if step != best:
                 remove(self.path / str(step))
 
-    def restore(
-        self, like: TrainState, fits: Callable[[dict[str, Any]], None]
-    ) -> tuple[int, TrainState | None, dict[str, Any], list[str]]:
-        """The newest checkpoint that is whole.
+    def find(
+        self, fits: Callable[[dict[str, Any]], None]
+    ) -> tuple[int | None, dict[str, Any], list[str]]:
+        """The newest checkpoint that is whole, every byte compared with its digest.
 
         Args:
-          like: the state's shapes and dtypes.
           fits: raises ValueError where the run's other files are not those of a manifest.
 
         Returns:
-          Its iteration, the state, its manifest, and a line about each newer one that
-          cannot be used. With no checkpoint at all: 0, None, nothing, no line.
+          Its iteration, its manifest, and a line about each newer one that cannot be used. With
+          no checkpoint at all: None, nothing, no line.
 
         Raises:
           Damaged: there are some, and none can be used.
@@ -122,15 +127,30 @@ class Checkpoints:
         said: list[str] = []
         for step in reversed(self.steps()):
             try:
-                tree, manifest = read(self.path / str(step), raw_like(like), fits)
+                manifest = verified(self.path / str(step), fits)
             except Damaged as error:
                 said.append(f"checkpoint {step} cannot be used ({error})")
                 continue
             self.newest = step
-            return step, tree._replace(key=jax.random.wrap_key_data(tree.key)), manifest, said
+            return step, manifest, said
         if said:
             raise Damaged("; ".join(said))
-        return 0, None, {}, []
+        return None, {}, []
+
+    def load(self, step: int, like: TrainState) -> TrainState:
+        """The state of one checkpoint.
+
+        Args:
+          step: its iteration.
+          like: the state's shapes and dtypes.
+
+        Raises:
+          Damaged: it is not whole, not of these shapes, or of another iteration.
+        """
+        tree, _ = read(self.path / str(step), raw_like(like))
+        if np.any(np.asarray(tree.iteration) != step):
+            raise Damaged(f"checkpoint {step} holds the state of another iteration")
+        return tree._replace(key=jax.random.wrap_key_data(tree.key))
 
 
 def raw(state: TrainState) -> TrainState:
@@ -149,7 +169,7 @@ def last100(path: Path) -> float:
         found = manifest_of(path)["last100"]
     except (Damaged, KeyError):
         return -np.inf
-    return found if isinstance(found, float) else -np.inf
+    return found if isinstance(found, float) and np.isfinite(found) else -np.inf
 
 
 def write(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
@@ -197,21 +217,17 @@ def manifest_of(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def read(path: Path, like: Any, fits: Callable[[dict[str, Any]], None]) -> tuple[Any, Any]:
-    """The tree at `path` and its manifest, after every byte was compared with its digest.
+def verified(path: Path, fits: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+    """The manifest at `path`, after every byte that it speaks of was compared with its digest.
 
     Raises:
-      Damaged: in a few words, what is wrong with it.
+      Damaged: in a few words, what is wrong.
     """
     manifest = manifest_of(path)
     try:
         for name, wanted in manifest["files"].items():
             if digest(path / name) != wanted:
                 raise Damaged(f"{name} is not what was written")
-        for name, wanted in arrays(like).items():  # orbax would cut them or fill them up
-            found = manifest["arrays"].get(name, "none")
-            if found != wanted:
-                raise Damaged(f"{name} is {found}, not {wanted}")
         fits(manifest)
     except FileNotFoundError as error:
         raise Damaged(f"{Path(error.filename).name} is missing") from None
@@ -219,6 +235,23 @@ def read(path: Path, like: Any, fits: Callable[[dict[str, Any]], None]) -> tuple
         raise Damaged(f"{MANIFEST} says nothing of {error}") from None
     except (ValueError, TypeError, AttributeError, OSError) as error:
         raise Damaged(str(error) or type(error).__name__) from None
+    return manifest
+
+
+def read(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
+    """The tree at `path` and its manifest.
+
+    Raises:
+      Damaged: it is not what was written, or not of the shapes of `like`.
+    """
+
+    def same_arrays(manifest: dict[str, Any]) -> None:  # orbax would cut them or fill them up
+        for name, wanted in arrays(like).items():
+            found = manifest["arrays"].get(name, "none")
+            if found != wanted:
+                raise ValueError(f"{name} is {found}, not {wanted}")
+
+    manifest = verified(path, same_arrays)
     try:
         with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
             target = (path / "tree").resolve()

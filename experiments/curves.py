@@ -21,7 +21,8 @@ LABELS = {"ppo": "PPO", "rnd": "RND", "snd_std": "SND-STD", "snd_vic": "SND-VIC"
 def read(run: Path, key: str) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Steps and values of one key of `metrics.jsonl`, by seed; lines without it are left out."""
     points: dict[int, list[tuple[float, float]]] = defaultdict(list)
-    for line in (run / "metrics.jsonl").read_text().splitlines():
+    whole, _, _ = (run / "metrics.jsonl").read_text().rpartition("\n")  # it may be being written
+    for line in whole.splitlines():
         entry = json.loads(line)
         points[entry["seed"]]
         if entry.get(key) is not None:

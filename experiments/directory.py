@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import re
 import secrets
 import shutil
 import time
@@ -97,9 +98,9 @@ class Directory:
 
 def fresh(config: Config) -> Path:
     """runs/<env>/<algo>/<time>-<id>"""
-    name = config.env.name.replace("/", "-").replace(":", "-")
+    plain = lambda name: re.sub(r"[^A-Za-z0-9_.-]", "-", name).lstrip(".") or "unnamed"
     stamp = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
-    return Path("runs") / name / config.algo.name / stamp
+    return Path("runs") / plain(config.env.name) / plain(config.algo.name) / stamp
 
 
 def missing(path: Path) -> list[Path]:

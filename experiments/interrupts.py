@@ -48,17 +48,18 @@ class Interrupts:
             signal.signal(number, handler)
 
     def begin(self) -> None:
-        """From here on there is something to lose."""
+        """From here on there is something to lose, and `check` is called often."""
         self.begun = True
 
     def receive(self, number: int, frame: object) -> None:
         """The handler of both."""
         if not self.begun:
-            print("sndjax: interrupted before the first iteration", file=sys.stderr, flush=True)
+            show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
+            print(f"{show_cursor}sndjax: interrupted before the first step", file=sys.stderr)
             os._exit(128 + number)
-        self.received = number
+        again, self.received = self.received is not None, number
         if self.grace is not None:
-            signal.setitimer(signal.ITIMER_REAL, max(self.grace, 1e-6))
+            signal.setitimer(signal.ITIMER_REAL, 1e-6 if again else max(self.grace, 1e-6))
 
     def give_up(self, number: int, frame: object) -> None:
         """The handler of the alarm: the wait has had its time."""
@@ -76,7 +77,10 @@ class Interrupts:
 
     @contextmanager
     def waiting(self, grace: float = 0.0) -> Iterator[None]:
-        """Inside, a signal breaks off the wait unless it is over within `grace` seconds."""
+        """Inside, a signal breaks off the wait unless it is over within `grace` seconds.
+
+        A second signal breaks it off at once.
+        """
         self.check()
         self.grace = grace
         try:

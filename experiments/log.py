@@ -1,5 +1,6 @@
 """A log that is only ever appended to, and can be cut back to where it once stood."""
 
+import errno
 import hashlib
 import os
 from pathlib import Path
@@ -14,7 +15,7 @@ class Mark(TypedDict):
 
 
 class Log:
-    """A text file, written through to the disk whenever it is marked."""
+    """A text file that holds whole lines, written through to the disk whenever it is marked."""
 
     def __init__(self, path: Path, mark: Mark | None = None):
         """Open it at a mark, or empty. What stood after the mark is cut off.
@@ -23,33 +24,39 @@ class Log:
           ValueError: what stands before the mark is not what stood there when it was made.
         """
         self.path = path
-        self.digest = hashlib.sha256()
         kept = holds(path, mark) if mark is not None else b""
-        self.digest.update(kept)
-        self.size = len(kept)
-        self.file = path.open("r+b" if path.exists() else "x+b")
+        self.digest = hashlib.sha256(kept)
+        self.size = len(kept)  # as it stands in the file
+        self.pending = bytearray()
+        self.file = path.open("r+b" if path.exists() else "x+b", buffering=0)
         self.file.truncate(self.size)
         self.file.seek(self.size)
 
     def write(self, text: str) -> None:
-        """Append."""
-        data = text.encode()
-        self.file.write(data)
+        """Append, with the next flush."""
+        self.pending += text.encode()
+
+    def flush(self) -> None:
+        """Hand what was written to the system, all of it or nothing: it outlives this process.
+
+        Raises:
+          OSError: there is no room for it.
+        """
+        data, self.pending = bytes(self.pending), bytearray()
+        if data and self.file.write(data) != len(data):
+            self.file.truncate(self.size)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         self.digest.update(data)
         self.size += len(data)
 
-    def flush(self) -> None:
-        """Hand what was written to the system: it outlives this process."""
-        self.file.flush()
-
     def mark(self) -> Mark:
         """Write it through to the disk, where it outlives a power cut, and say where it stands."""
-        self.file.flush()
+        self.flush()
         os.fsync(self.file.fileno())
         return {"bytes": self.size, "sha256": self.digest.hexdigest()}
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; what was not flushed is not in it."""
         self.file.close()
 
 

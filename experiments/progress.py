@@ -2,6 +2,7 @@
 
 import sys
 import time
+from contextlib import suppress
 from typing import Any
 
 from rich.console import Console
@@ -50,11 +51,12 @@ class Progress:
             self.say(title)
 
     def say(self, text: str) -> None:
-        """One line, at once."""
-        if self.live is not None:
-            self.live.console.print(text)
-        else:
-            print(text, flush=True)
+        """One line, at once. Nobody to read it is no reason to stop."""
+        with suppress(OSError):
+            if self.live is not None:
+                self.live.console.print(text)
+            else:
+                print(text, flush=True)
 
     def phase(self, name: str, estimate: float | None = None) -> None:
         """A part of the iteration begins; it is expected to take `estimate` seconds."""
@@ -78,7 +80,7 @@ class Progress:
         }
         if self.live is None:
             figures = "  ".join(f"{name} {value}" for name, value in self.figures.items())
-            print(f"step {self.done:,} of {self.total:,}  {figures}", flush=True)
+            self.say(f"step {self.done:,} of {self.total:,}  {figures}")
 
     def left(self) -> float:
         """Seconds to the end, at the rate so far."""
@@ -104,6 +106,7 @@ class Progress:
 
     def close(self) -> None:
         """Leave the last figures on the screen."""
-        if self.live is not None:
-            self.live.stop()
-        sys.stdout.flush()
+        with suppress(OSError):
+            if self.live is not None:
+                self.live.stop()
+            sys.stdout.flush()

@@ -41,6 +41,7 @@ class Records:
         self.metrics, self.episodes = (Log(path / name, marks.get(name)) for name in LOGS)
         self.boards = Boards(path / "tensorboard", seeds)
         self.columns = COLUMNS + (["rooms"] if rooms else [])
+        self.past: list[dict[str, Any]] = []  # lines of a run that goes on
         if self.episodes.size:
             self.take_back()
         else:
@@ -50,6 +51,7 @@ class Records:
     def take_back(self) -> None:
         """Count what the logs already hold."""
         lines = [json.loads(x) for x in (self.path / LOGS[0]).read_text().splitlines()]
+        self.past = lines
         for line in lines:
             self.wall_seconds = line["wall_seconds"]
             self.transitions[self.seeds.index(line["seed"])] = line["transitions"]
@@ -83,7 +85,7 @@ class Records:
             "score": mean("score"),
             "last100_ext_return": self.summaries[i].last100,
         }
-        line |= {key: finite(value) for key, value in entry.items()}
+        line = {key: finite(value) for key, value in (line | entry).items()}
         self.metrics.write(json.dumps(line, allow_nan=False) + "\n")
         self.boards.add(line, time.time())
         return line
@@ -97,12 +99,14 @@ class Records:
         """What a checkpoint of this moment says of the logs, which are now safe on the disk."""
         last = [summary.last100 for summary in self.summaries if summary.last100 is not None]
         marks = dict(zip(LOGS, (self.metrics.mark(), self.episodes.mark()), strict=True))
-        return {"logs": marks, "last100": sum(last) / len(last) if last else None}
+        return {"logs": marks, "last100": finite(sum(last) / len(last)) if last else None}
 
     def summarize(self, step: int) -> None:
         """Write summary.json for `step` rows per seed."""
         seeds = [
-            {"seed": seed, "steps": step} | summary.figures() | {"wall_seconds": self.wall_seconds}
+            {"seed": seed, "steps": step}
+            | {key: finite(value) for key, value in summary.figures().items()}
+            | {"wall_seconds": self.wall_seconds}
             for seed, summary in zip(self.seeds, self.summaries, strict=True)
         ]
         replace(self.path / "summary.json", json.dumps({"seeds": seeds}, indent=1) + "\n")

@@ -57,7 +57,7 @@ def load(dump: Path, config: Config) -> tuple[Any, Any, Any]:
         "batch": shapes(pool, config.env.stack, config.rollout_length, agent.network.value_heads),
     }
     try:
-        tree, _ = read(dump, like, lambda manifest: None)
+        tree, _ = read(dump, like)
     except Damaged as error:
         raise ConfigError(f"{dump} is damaged: {error}") from None
     state, batch = jax.tree.map(jnp.asarray, (tree["state"], tree["batch"]))
@@ -89,7 +89,9 @@ def replay(agent: Any, config: Config, state: Any, batch: Any) -> None:
             print(f"{name}, not finite: {line}")
     step = jax.jit(make_train_step(agent, config))
     print("updating ...", flush=True)
-    metrics = {name: value.tolist() for name, value in step(state, batch)[1].items()}
+    metrics: dict[str, list[float]] = {
+        name: value.tolist() for name, value in step(state, batch)[1].items()
+    }
     seeds = [config.seed + i for i in range(config.num_seeds)]
     found = not_finite(seeds, batch, metrics)
     for line in found:

@@ -29,8 +29,12 @@ def how_to_go_on(directory: Directory | None) -> str:
 
 def console() -> None:
     """The `sndjax` script."""
-    status = main()
-    sys.stdout.flush()
+    try:
+        status = main()
+        sys.stdout.flush()
+    except BrokenPipeError:  # nobody reads any more
+        status = 1
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.stderr.flush()
     if status > 128:
         os._exit(status)  # an update that was broken off may have minutes to go: do not wait

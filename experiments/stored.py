@@ -82,7 +82,7 @@ def parse(text: str, where: str) -> Stored:
         if "${" in str(found):
             raise ConfigError("it holds a reference ('${'); a stored value stands for itself")
         config = OmegaConf.to_object(OmegaConf.merge(schema(), found))
-    except (OmegaConfBaseException, yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+    except Exception as error:  # what a file from elsewhere makes a loader raise is open
         raise ConfigError(f"{where} cannot be read: {reason(error)}") from None
     assert isinstance(config, Config)
     return Stored(config, {str(name): str(version) for name, version in made_with.items()})

@@ -22,7 +22,7 @@ from experiments.interrupts import Interrupted, Interrupts
 from experiments.options import Config, ConfigError
 from experiments.process import return_freed_memory
 from experiments.progress import Progress, clock
-from experiments.records import Records, check_logs
+from experiments.records import LOGS, Records, check_logs
 from experiments.stored import check_settings, settings
 from experiments.versions import versions
 from experiments.watch import Signs, dump, not_finite
@@ -30,7 +30,7 @@ from experiments.watch import Signs, dump, not_finite
 WIDE = ("re3", "e3b", "ngu")  # signals whose unit is not that of a squared feature
 CHECKPOINT_SECONDS = 300  # a checkpoint at least this often
 LONG_SECONDS = 60  # an iteration that takes longer is always followed by one
-GRACE_SECONDS = 5  # that an update may go on after SIGTERM, so that its checkpoint is in time
+GRACE_SECONDS = 4  # that an update may go on after SIGTERM, so that its checkpoint is in time
 
 
 def keep_compilations() -> None:
@@ -50,9 +50,14 @@ def rss_mb() -> float:
 def make_train_step(agent: sndjax.Agent, config: Config) -> Any:
     """`train_step` of every seed, leaves [S, ...], with what a number that goes wrong does."""
     step = sndjax.make_train_step(agent)
-    if config.on_nan == "skip":
-        step = sndjax.skip_nonfinite(step)
-    return over_seeds(step, config.num_seeds)
+
+    def watched(state, batch):
+        state, metrics, reward = step(state, batch)
+        fine = sndjax.all_finite(state._replace(key=()))
+        return state, metrics | {"state_finite": fine}, reward
+
+    steps = {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}
+    return over_seeds(steps[config.on_nan], config.num_seeds)
 
 
 class Run:
@@ -64,8 +69,11 @@ class Run:
         self.config, self.path = config, directory.path
         self.seeds = [config.seed + i for i in range(config.num_seeds)]
         self.checkpoints = Checkpoints(directory.path)
-        begun = [0, *self.checkpoints.steps()][-1] if directory.resumed else 0
-        self.pool = make_pool(config.env, self.seeds, config.num_envs, begun)
+        self.done = 0  # iterations
+        self.manifest: dict[str, Any] = {}  # of the checkpoint that the run goes on from
+        self.said: list[str] = []  # before there was a display
+        found = self.find_checkpoint() if directory.resumed else None
+        self.pool = make_pool(config.env, self.seeds, config.num_envs, self.done)
         self.agent = build(config, self.pool)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
         self.fresh = lambda: first_states(self.agent, self.seeds, example)
@@ -73,22 +81,38 @@ class Run:
             jax.eval_shape(partial(sndjax.init, self.agent), jax.random.key(0), example)
         except ValueError as error:  # an objective that this environment has nothing for
             raise ConfigError(f"algo={config.algo.name}: {error}") from None
-        self.act = jax.jit(over_seeds(partial(sndjax.act, self.agent), config.num_seeds, shared=1))
+        act = jax.jit(over_seeds(partial(sndjax.act, self.agent), config.num_seeds, shared=1))
+        heads = self.agent.network.value_heads
+        self.collector = Collector(self.pool, act, config.env.stack, config.rollout_length, heads)
         self.train_step = jax.jit(make_train_step(self.agent, config), donate_argnums=0)
         self.update: Any = None  # the compiled train_step
         self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
         self.state: sndjax.TrainState | None = None  # None: not made yet, or in an update
-        self.done = 0  # iterations
-        self.manifest: dict[str, Any] = {}  # of the checkpoint that the run goes on from
-        self.said: list[str] = []  # before there was a display
-        if directory.resumed:
+        if found is not None:
             try:
-                found = self.checkpoints.restore(jax.eval_shape(self.fresh), self.check)
+                self.state = self.checkpoints.load(found, jax.eval_shape(self.fresh))
             except Damaged as error:
                 raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
-            self.done, self.state, self.manifest, self.said = found
         self.saved = time.monotonic()
         self.expected: float | None = None  # seconds of an update
+
+    def find_checkpoint(self) -> int | None:
+        """The iteration to go on from, if the run had got so far as to have a first checkpoint.
+
+        Raises:
+          ConfigError: no checkpoint can be used, or there are logs without any.
+        """
+        try:
+            found, self.manifest, self.said = self.checkpoints.find(self.check)
+        except Damaged as error:
+            raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
+        log = self.path / LOGS[0]
+        if found is None and log.exists() and log.stat().st_size:
+            raise ConfigError(
+                f"resume={self.path}: nothing to go on from: there are logs and no checkpoint"
+            )
+        self.done = found or 0
+        return found
 
     def check(self, manifest: dict[str, Any]) -> None:
         """Raise ValueError unless a checkpoint belongs to this configuration and these logs."""
@@ -98,7 +122,6 @@ class Run:
     def train(self, interrupts: Interrupts) -> None:
         """Train to the last iteration, logging each."""
         self.interrupts = interrupts
-        interrupts.begin()
         config, rows = self.config, self.config.rows
         total = config.iterations * rows
         logs = self.manifest.get("logs", {})
@@ -117,6 +140,7 @@ class Run:
             self.progress.say(f"finished: {self.path}")
         finally:
             self.progress.close()
+            self.checkpoints.join()
             self.records.close()
             self.pool.close()
 
@@ -135,13 +159,14 @@ class Run:
         progress.phase("compiling the policy")
         if self.state is None:
             self.state = self.fresh()
-        heads = self.agent.network.value_heads
-        collector = Collector(self.pool, self.act, config.env.stack, config.rollout_length, heads)
+            self.save()  # so that there is always one to go on from
         episodes = Episodes(self.seeds, config.num_envs, self.pool.rooms)
         signs = {seed: Signs(self.pool.num_actions) for seed in self.seeds}
+        for line in self.records.past:
+            signs[line["seed"]].take_in(line)  # what it says was said
         while self.done < config.iterations:
             begun = time.monotonic()
-            batch, track = self.collect(collector)
+            batch, track = self.collect()
             collected = time.monotonic()
             metrics, int_reward = self.learn(batch)
             gone = time.monotonic() - begun
@@ -171,17 +196,18 @@ class Run:
         progress.phase("saving")
         self.checkpoints.wait()
 
-    def collect(self, collector: Collector) -> tuple[sndjax.Experience, Track]:
+    def collect(self) -> tuple[sndjax.Experience, Track]:
         """The next rollout."""
         assert self.state is not None
         self.progress.phase("collecting")
 
         def stepped(step: int) -> None:
+            self.interrupts.begin()  # the policy is compiled: from here on a check is never far
             self.interrupts.check()
             self.progress.within(step / self.config.rollout_length)
 
         actor = sndjax.Actor(self.state.policy, self.state.observations, self.state.key)
-        return collector.collect(actor, stepped)
+        return self.collector.collect(actor, stepped)
 
     def learn(self, batch: sndjax.Experience) -> tuple[dict[str, list[float]], np.ndarray]:
         """Update every seed's state; their metrics and intrinsic rewards, [S, ...].
@@ -198,14 +224,19 @@ class Run:
         before = self.copy(state) if stop and self.checkpoints.newest != self.done else None
         self.progress.phase("learning", self.expected)
         begun = time.monotonic()
-        with self.interrupts.waiting(GRACE_SECONDS):
-            self.state = None
-            state, found, reward = jax.block_until_ready(self.update(state, batch))
+        try:
+            with self.interrupts.waiting(GRACE_SECONDS):
+                self.state = None
+                state, found, reward = jax.block_until_ready(self.update(state, batch))
+        except Interrupted:
+            self.state = before
+            raise
         self.expected = time.monotonic() - begun
         metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
         wrong = not_finite(self.seeds, batch, metrics) if stop else []
         if wrong:
-            self.stop(wrong, before, batch)
+            raise FloatingPointError(self.went_wrong(wrong, before, batch))
+        metrics.pop("state_finite", None)
         self.state = state
         return metrics, np.asarray(reward)
 
@@ -223,27 +254,25 @@ class Run:
             f"each takes about {clock(self.expected)}"
         )
 
-    def stop(
+    def went_wrong(
         self, wrong: list[str], before: sndjax.TrainState | None, batch: sndjax.Experience
-    ) -> None:
-        """Leave what is needed to see what went wrong, and to go on from before it.
-
-        Raises:
-          FloatingPointError: always.
-        """
-        if before is None:
-            like = jax.eval_shape(self.fresh)
-            before = self.checkpoints.restore(like, lambda manifest: None)[1]
-            assert before is not None
-        self.state = before
-        self.save()
-        where = self.path / f"wrong-{self.done + 1}"
-        dump(where, self.config, versions(), before, batch)
-        self.checkpoints.wait()
+    ) -> str:
+        """Leave what is needed to see what went wrong and to go on from before it; say where."""
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        raise FloatingPointError(
-            f"iteration {self.done + 1}, {wrong[0]}{more}; the last good checkpoint is that of "
-            f"iteration {self.done}; to see why: python -m experiments.replay {where}"
+        said = f"iteration {self.done + 1}, {wrong[0]}{more}"
+        where = self.path / f"wrong-{self.done + 1}"
+        try:
+            if before is None:
+                before = self.checkpoints.load(self.done, jax.eval_shape(self.fresh))
+            self.state = before
+            self.save()
+            self.checkpoints.wait()
+            dump(where, self.config, versions(), before, batch)
+        except (OSError, Damaged) as error:
+            return f"{said}; what it came from could not be kept: {error}"
+        return (
+            f"{said}; the last good checkpoint is that of iteration {self.done}; to see why: "
+            f"python -m experiments.replay {where}"
         )
 
     def log(
@@ -288,9 +317,12 @@ class Run:
     def save_before_leaving(self) -> None:
         """A checkpoint of this moment, unless the state is inside an update that was broken off."""
         self.progress.phase("saving")
-        if self.state is not None:
-            self.save()
-        self.checkpoints.wait()
+        try:
+            if self.state is not None:
+                self.save()
+            self.checkpoints.wait()
+        except OSError as error:
+            self.progress.say(f"no checkpoint of this moment: {error}")
 
 
 def mean_line(lines: list[dict[str, Any]]) -> dict[str, Any]:

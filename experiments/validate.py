@@ -69,6 +69,8 @@ def validated(config: Any) -> Config:
                 check(f"{name}.{key}", one, entry.metadata)
         else:
             check(name, value, entry.metadata)
+    if config.algo.module is None and config.algo.name not in choices("algo"):
+        raise unknown("algo", config.algo.name, choices("algo"))
     for name in ("ppo", "algo") if config.algo.name != "ppo" else ("ppo",):
         size = getattr(config, name).minibatch_size
         if config.rows % size:

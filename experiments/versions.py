@@ -19,6 +19,6 @@ def versions() -> dict[str, str]:
     try:
         result = subprocess.run(git, capture_output=True, text=True, timeout=5, check=False)
         found["revision"] = result.stdout.strip() or "unknown"
-    except OSError:
+    except (OSError, subprocess.SubprocessError):
         found["revision"] = "unknown"
     return found

@@ -22,6 +22,8 @@ def stage(name: str) -> tuple[int, int]:
     """Where in an update a figure comes up: rewards, PPO, the module, its loss and gradient."""
     if name == "ext_reward" or name.startswith("int_"):
         return (0, name != "ext_reward")
+    if name == "state":
+        return (3, 0)
     if name in PPO:
         return (1, PPO.index(name))
     return (2, 1 + LAST.index(name) if name in LAST else 0)
@@ -34,6 +36,8 @@ def not_finite(seeds: list[int], batch: Experience, metrics: dict[str, list[floa
         reward = np.asarray(batch.reward[i])[np.asarray(batch.rollout.valid[i])]
         terms = {"ext_reward": float(reward.sum())}
         terms |= {name: values[i] for name, values in metrics.items()}
+        if not terms.pop("state_finite", True):
+            terms["state"] = math.nan
         found += [
             f"seed {seed}: {name} is {terms[name]}"
             for name in sorted(terms, key=stage)
@@ -76,6 +80,11 @@ class Signs:
                 "the policy is dead: it has almost stopped choosing (entropy below 1% of ln A). "
                 "The thesis holds it up with an entropy weight of 0.001 (Table 5.2): take a larger "
                 "ppo.entropy_weight, or a smaller ppo.learning_rate",
+            ),
+            "skipped": (
+                lambda value: value == 1,
+                "every one of the last iterations was skipped: what makes its numbers go wrong "
+                "stays. The thesis says nothing of it; look with on_nan=stop",
             ),
         }
 

@@ -27,7 +27,12 @@ def fits(manifest):
 
 
 def restore(path, like, fits=fits):
-    return Checkpoints(path).restore(jax.eval_shape(lambda: like), fits)
+    """The newest that is whole: its iteration, state, manifest, and what is said of others."""
+    checkpoints = Checkpoints(path)
+    step, manifest, said = checkpoints.find(fits)
+    if step is None:
+        return None
+    return step, checkpoints.load(step, jax.eval_shape(lambda: like)), manifest, said
 
 
 def saved(path, state, steps, returns=()):
@@ -48,7 +53,7 @@ def state():
 @pytest.mark.parametrize("name", NAMED)
 def test_a_state_comes_back_bit_for_bit(name, tmp_path):
     state = first_state(name)
-    assert restore(tmp_path, state) == (0, None, {}, [])
+    assert restore(tmp_path, state) is None
     saved(tmp_path, state, [1, 2, 3])
     iteration, restored, manifest, said = restore(tmp_path, state)
     assert (iteration, manifest["iteration"], said) == (3, 3, [])
@@ -64,7 +69,7 @@ def test_the_state_may_be_used_up_while_it_is_written(state, tmp_path, monkeypat
     monkeypatch.setattr(checkpoint, "write", lambda *args: go_on.wait(10) and written(*args))
     checkpoints = Checkpoints(tmp_path)
     mine = jax.tree.map(jnp.copy, state)
-    checkpoints.save(1, mine, {})
+    checkpoints.save(0, mine, {})
     assert checkpoints.newest is None  # it has not waited for the disk
     for leaf in jax.tree.leaves(mine):
         leaf.delete()
@@ -82,6 +87,7 @@ def test_the_state_may_be_used_up_while_it_is_written(state, tmp_path, monkeypat
         ([0.0, 3.0, 1.0, 2.0, 1.0], [2, 4, 5]),
         ([0.0, 1.0, 1.0, 0.0, 0.0], [3, 4, 5]),  # of two that are best, the newer one
         ([0.0, 0.0, 0.0, 1.0, 2.0], [4, 5]),
+        ([float("nan"), 1.0, float("inf"), 0.0, 0.0], [2, 4, 5]),
     ],
 )
 def test_the_newest_two_stay_and_the_best(returns, kept, state, tmp_path):
@@ -92,7 +98,7 @@ def test_what_is_beyond_the_one_that_was_gone_on_from_is_removed(state, tmp_path
     saved(tmp_path, state, [10, 20])
     (tmp_path / "checkpoints" / "20" / "manifest.json").write_text("{")
     checkpoints = Checkpoints(tmp_path)
-    assert checkpoints.restore(jax.eval_shape(lambda: state), fits)[0] == 10
+    assert checkpoints.find(fits)[0] == 10
     checkpoints.save(15, state, {})
     checkpoints.wait()
     assert checkpoints.steps() == [10, 15]
@@ -145,6 +151,21 @@ def test_none_that_can_be_used_is_an_error_and_not_a_fresh_start(state, tmp_path
         (tmp_path / "checkpoints" / step / "manifest.json").unlink()
     with pytest.raises(Damaged, match=r"checkpoint 2.*checkpoint 1"):
         restore(tmp_path, state)
+
+
+def test_one_with_the_state_of_another_iteration_is_refused(state, tmp_path):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(7, state, {})
+    checkpoints.wait()
+    with pytest.raises(Damaged, match="of another iteration"):
+        restore(tmp_path, state)
+
+
+def test_a_directory_that_is_no_number_is_none_of_them(state, tmp_path):
+    saved(tmp_path, state, [1])
+    for name in ("\u00b2", "-3", "1.5", "x"):
+        (tmp_path / "checkpoints" / name).mkdir()
+    assert Checkpoints(tmp_path).steps() == [1]
 
 
 def test_one_of_other_shapes_is_refused(state, tmp_path):

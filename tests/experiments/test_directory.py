@@ -65,3 +65,5 @@ def test_runs_are_filed_by_environment_and_algorithm():
     assert path != fresh(CONFIG)
     slashed = dataclasses.replace(CONFIG, env=dataclasses.replace(CONFIG.env, name="a/b"))
     assert fresh(slashed).parts[1] == "a-b"
+    up = dataclasses.replace(CONFIG, algo=dataclasses.replace(CONFIG.algo, name="../.."))
+    assert fresh(up).parts[2] == "-.."

@@ -62,7 +62,18 @@ def test_before_it_begins_a_signal_ends_the_process(number):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 128 + number
     assert done.stdout == ""
-    assert done.stderr == "sndjax: interrupted before the first iteration\n"
+    assert done.stderr == "sndjax: interrupted before the first step\n"
+
+
+def test_a_second_signal_breaks_a_wait_off_at_once():
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        for delay in (0.1, 0.3):
+            threading.Timer(delay, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        begun = time.monotonic()
+        with pytest.raises(Interrupted), interrupts.waiting(20):
+            threading.Event().wait(20)
+        assert time.monotonic() - begun < 10
 
 
 def test_handlers_are_put_back():

@@ -1,4 +1,6 @@
 import hashlib
+import subprocess
+import sys
 
 import pytest
 
@@ -12,6 +14,7 @@ def test_a_log_goes_on_at_its_mark(tmp_path):
     mark = log.mark()
     assert mark == {"bytes": 4, "sha256": hashlib.sha256(b"one\n").hexdigest()}
     log.write("two, half a li")
+    log.flush()
     log.close()
     again = Log(path, mark)
     again.write("zwei\n")
@@ -36,3 +39,26 @@ def test_a_log_that_is_not_what_was_marked_is_refused_and_left_alone(tmp_path):
             Log(path, mark)
         assert path.exists() == (text is not None)
         assert text is None or path.read_text() == text
+
+
+def test_a_line_that_the_disk_has_no_room_for_is_not_there_in_part(tmp_path):
+    """RLIMIT_FSIZE stands for the disk: the system writes what fits, then refuses."""
+    code = f"""
+import resource, signal
+from pathlib import Path
+from experiments.log import Log
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (30, 30))
+log = Log(Path({str(tmp_path / "log")!r}))
+log.write("a line of twenty....\\n")
+log.flush()
+for _ in range(2):
+    log.write("another line of some thirty bytes\\n")
+    try:
+        log.flush()
+    except OSError:
+        print("refused")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "refused\nrefused\n"
+    assert (tmp_path / "log").read_text() == "a line of twenty....\n"

@@ -36,6 +36,7 @@ def filled(path, iterations=3, marked=0):
 def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
     records = filled(tmp_path)
     line = records.take_in(0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf})
+    records.flush()
     records.close()
     assert line["loss"] is None
     assert line["ext_return"] is None
@@ -47,6 +48,27 @@ def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
     assert rows[0] == "seed,step,length,ext_return,score,int_return,rooms"
     assert rows[1] == "4,8,3,1.0,10.0,0.1,2"
     assert any((tmp_path / "tensorboard" / "seed_5").iterdir())
+
+
+def test_a_reward_that_is_not_finite_is_null_in_every_file(tmp_path):
+    records = filled(tmp_path)
+    worse = Episode(4, 32, 3, math.nan, math.inf, 0.1, 2)
+    line = records.take_in(0, [worse], ENTRY | {"step": 32})
+    assert (line["ext_return"], line["score"], line["last100_ext_return"]) == (None, None, None)
+    records.flush()
+    records.summarize(32)
+
+    def strict(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    figures = json.loads((tmp_path / "summary.json").read_text(), parse_constant=strict)
+    assert figures["seeds"][0]["mean_ext_return"] is None
+    assert figures["seeds"][1]["mean_ext_return"] == 2
+    manifest = records.manifest()
+    assert manifest["last100"] is None
+    records.close()
+    again = Records(tmp_path, [4, 5], rooms=True, marks=manifest["logs"])
+    assert math.isnan(again.summaries[0].last100)
 
 
 def test_summary_is_one_object_a_seed(tmp_path):

@@ -22,8 +22,10 @@ def tree_of(path, config=None):
     agent = build(config, pool)
     example = np.zeros((config.num_envs, *pool.shape), pool.dtype)
     like = jax.eval_shape(lambda: first_states(agent, seeds, example))
-    iteration, state, _, said = Checkpoints(path).restore(like, lambda manifest: None)
+    checkpoints = Checkpoints(path)
+    iteration, _, said = checkpoints.find(lambda manifest: None)
     assert not said
+    state = checkpoints.load(iteration, like)
     return iteration, jax.tree.leaves(state._replace(key=jax.random.key_data(state.key)))
 
 
@@ -95,7 +97,8 @@ if part == "whole":
             checkpoints.wait()
     (place / "batches").write_bytes(pickle.dumps(batches))  # our own, of this test
 else:
-    _, state, _, _ = checkpoints.restore(jax.eval_shape(fresh), lambda manifest: None)
+    assert checkpoints.find(lambda manifest: None)[0] == 1
+    state = checkpoints.load(1, jax.eval_shape(fresh))
     for batch in pickle.loads((place / "batches").read_bytes())[1:]:
         state, *_ = step(state, batch)
 state = state._replace(key=jax.random.key_data(state.key))

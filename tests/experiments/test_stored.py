@@ -81,10 +81,13 @@ BOMB = "a: &a [1, 1]\nb: &b [*a, *a]\nc: [*b, *b]"
         (BOMB, "has an alias"),
         ("seed: ${oc.env:HOME}", "reference"),
         ("made_with: 3", "made_with"),
-        ("env: {name: a, id: b}\nalgo: {name: c}\nseed: -1", "at least 0"),
-        ("env: {name: a, id: b, stack: 99}\nalgo: {name: c}", "at most 16"),
+        ("env: {name: a, id: b}\nalgo: {name: rnd}\nseed: -1", "at least 0"),
+        ("env: {name: a, id: b, stack: 99}\nalgo: {name: rnd}", "at most 16"),
         ("[" * 5000, "cannot be read"),
-        ("ppo: {clip: .nan}\nenv: {name: a, id: b}\nalgo: {name: c}", "must be finite"),
+        ("seed: !!bool x", "cannot be read"),
+        ("seed: !!int ''", "cannot be read"),
+        ("env: {name: a, id: b}\nalgo: {name: pqo}", "unknown algo 'pqo'"),
+        ("ppo: {clip: .nan}\nenv: {name: a, id: b}\nalgo: {name: rnd}", "must be finite"),
     ],
 )
 def test_a_configuration_from_elsewhere_is_plain_data_in_its_ranges(run, text, words):

@@ -20,6 +20,7 @@ def test_terms_that_are_not_finite_are_named_with_their_seed_in_order():
         "module_loss": [0.0, math.nan],
         "int_reward_mean": [0.1, math.nan],
         "policy_loss": [-math.inf, math.nan],
+        "state_finite": [True, False],
     }
     assert not_finite([4, 5], made, metrics) == [
         "seed 4: policy_loss is -inf",
@@ -29,6 +30,7 @@ def test_terms_that_are_not_finite_are_named_with_their_seed_in_order():
         "seed 5: grad_norm is nan",
         "seed 5: a_term is nan",
         "seed 5: module_loss is nan",
+        "seed 5: state is nan",
     ]
 
 
