@@ -233,7 +233,9 @@ def verified(path: Path, fits: Callable[[dict[str, Any]], None]) -> dict[str, An
         raise Damaged(f"{Path(error.filename).name} is missing") from None
     except KeyError as error:
         raise Damaged(f"{MANIFEST} says nothing of {error}") from None
-    except (ValueError, TypeError, AttributeError, OSError) as error:
+    except Damaged:
+        raise
+    except Exception as error:  # what a manifest from elsewhere leads to is open
         raise Damaged(str(error) or type(error).__name__) from None
     return manifest
 

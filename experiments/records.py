@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,46 @@ COLUMNS = [name for name in Episode._fields if name != "rooms"]
 LOGS = ("metrics.jsonl", "episodes.csv")
 
 
-def check_logs(path: Path, marks: dict[str, Mark]) -> None:
+def check_logs(path: Path, seeds: list[int], marks: dict[str, Mark]) -> None:
     """Raise ValueError unless the logs begin with what they held when they were marked."""
     for name in LOGS:
         holds(path / name, marks[name])
+    known = {"step": int, "transitions": int, "wall_seconds": float}
+    for line in entries(path, marks[LOGS[0]]["bytes"]):
+        fits = all(isinstance(line.get(key), kind) for key, kind in known.items())
+        if not fits or line.get("seed") not in seeds:
+            raise ValueError(f"{LOGS[0]} holds a line of another run")
+    for episode in finished(path, marks[LOGS[1]]["bytes"]):
+        if episode.seed not in seeds:
+            raise ValueError(f"{LOGS[1]} holds a line of another run")
+
+
+def entries(path: Path, end: int) -> Iterator[dict[str, Any]]:
+    """The lines of metrics.jsonl before a byte, one after another.
+
+    Raises:
+      ValueError: one is none.
+    """
+    with (path / LOGS[0]).open("rb") as file:
+        while file.tell() < end:
+            line = json.loads(file.readline())
+            if not isinstance(line, dict):
+                raise ValueError(f"{LOGS[0]} holds a line that is no object")
+            yield line
+
+
+def finished(path: Path, end: int) -> Iterator[Episode]:
+    """The episodes of episodes.csv before a byte, without their rooms.
+
+    Raises:
+      ValueError: a line is none.
+    """
+    with (path / LOGS[1]).open("rb") as file:
+        file.readline()
+        while file.tell() < end:
+            seed, step, length, *figures = file.readline().decode().split(",")
+            external, score, intrinsic = (float(x) for x in figures[:3])
+            yield Episode(int(seed), int(step), int(length), external, score, intrinsic)
 
 
 class Records:
@@ -41,27 +78,25 @@ class Records:
         self.metrics, self.episodes = (Log(path / name, marks.get(name)) for name in LOGS)
         self.boards = Boards(path / "tensorboard", seeds)
         self.columns = COLUMNS + (["rooms"] if rooms else [])
-        self.past: list[dict[str, Any]] = []  # lines of a run that goes on
         if self.episodes.size:
             self.take_back()
         else:
             self.write_row(self.columns)
         self.flush()
 
+    def past(self) -> Iterator[dict[str, Any]]:
+        """The lines of metrics.jsonl so far."""
+        return entries(self.path, self.metrics.size)
+
     def take_back(self) -> None:
         """Count what the logs already hold."""
-        lines = [json.loads(x) for x in (self.path / LOGS[0]).read_text().splitlines()]
-        self.past = lines
-        for line in lines:
+        for line in self.past():
             self.wall_seconds = line["wall_seconds"]
             self.transitions[self.seeds.index(line["seed"])] = line["transitions"]
         begun = time.time() - self.wall_seconds
-        for line in lines:
+        for line in self.past():
             self.boards.add(line, begun + line["wall_seconds"])
-        for row in (self.path / LOGS[1]).read_text().splitlines()[1:]:
-            seed, step, length, *figures = row.split(",")
-            external, score, intrinsic = (float(x) for x in figures[:3])
-            episode = Episode(int(seed), int(step), int(length), external, score, intrinsic)
+        for episode in finished(self.path, self.episodes.size):
             self.summaries[self.seeds.index(episode.seed)].add(episode)
 
     def write_row(self, cells: Any) -> None:

@@ -117,7 +117,7 @@ class Run:
     def check(self, manifest: dict[str, Any]) -> None:
         """Raise ValueError unless a checkpoint belongs to this configuration and these logs."""
         check_settings(self.config, manifest["settings"])
-        check_logs(self.path, manifest["logs"])
+        check_logs(self.path, self.seeds, manifest["logs"])
 
     def train(self, interrupts: Interrupts) -> None:
         """Train to the last iteration, logging each."""
@@ -162,7 +162,7 @@ class Run:
             self.save()  # so that there is always one to go on from
         episodes = Episodes(self.seeds, config.num_envs, self.pool.rooms)
         signs = {seed: Signs(self.pool.num_actions) for seed in self.seeds}
-        for line in self.records.past:
+        for line in self.records.past():
             signs[line["seed"]].take_in(line)  # what it says was said
         while self.done < config.iterations:
             begun = time.monotonic()

@@ -1,15 +1,18 @@
 """Thousands of bad inputs: a line each and status 2, no traceback, nothing half-written."""
 
+import hashlib
 import json
 import random
 import re
 import shutil
 import string
+from pathlib import Path
 
 import pytest
+import yaml
 from test_run import CAR, start
 
-from experiments import training, validate
+from experiments import replay, training, validate
 from experiments.options import ConfigError
 from experiments.run import main
 from experiments.stored import read
@@ -137,6 +140,31 @@ def harmed(data, draw):
     return bytes(data)
 
 
+def changed(tree, draw):
+    """JSON or YAML with one value somewhere replaced, removed or added."""
+    if isinstance(tree, dict) and tree and draw.random() < 0.9:
+        key = draw.choice(sorted(tree))
+        kind = draw.random()
+        if kind < 0.1:
+            return {k: v for k, v in tree.items() if k != key}
+        if kind < 0.2:
+            return tree | {draw.choice(WORDS): 1}
+        return tree | {key: changed(tree[key], draw)}
+    values = [None, -1, 0, 2, 10**30, -0.5, float("nan"), [], {}, [[]], True]
+    return draw.choice([*values, *WORDS])
+
+
+def changed_file(path, draw):
+    """What a configuration or a sealed manifest might have held instead."""
+    if path.suffix == ".yaml":
+        return yaml.safe_dump(changed(yaml.safe_load(path.read_text()), draw)).encode()
+    manifest = json.loads(path.read_text())
+    del manifest["sha256"]
+    body = json.dumps(changed(manifest, draw), sort_keys=True)
+    seal = hashlib.sha256(body.encode()).hexdigest()
+    return f'{{"sha256": "{seal}", {body[1:]}'.encode()
+
+
 def longer(path):
     """Whether a harmed configuration is still one, of a run too long for a test."""
     try:
@@ -145,8 +173,8 @@ def longer(path):
         return False
 
 
-@pytest.mark.parametrize("count", [40, pytest.param(600, marks=pytest.mark.survival)])
-def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd):
+@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.survival)])
+def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
     """Each is gone on from by the real command: finished, or refused in a line and untouched."""
     run, copy = tmp_path / "run", tmp_path / "copy"
     arguments = [*CAR, "algo=ppo", "total_steps=512", "checkpoint_every=2"]
@@ -155,15 +183,28 @@ def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd):
     files = [p.relative_to(run) for p in sorted(run.rglob("*")) if p.is_file()]
     named = [p for p in files if p.name in ("config.yaml", "metrics.jsonl", "episodes.csv")]
     rest = [p for p in files if "checkpoints" in p.parts]
+    newest = max(int(p.name) for p in (run / "checkpoints").iterdir())
+    sealed = [Path("config.yaml"), Path("checkpoints") / str(newest) / "manifest.json"]
     for _ in range(count):
         shutil.rmtree(copy, ignore_errors=True)
         shutil.copytree(run, copy)
-        target = copy / draw.choice(named if draw.random() < 0.5 else rest)
-        target.write_bytes(harmed(target.read_bytes(), draw))
+        kind = draw.random()
+        if kind < 0.4:
+            target = copy / draw.choice(sealed)
+            target.write_bytes(changed_file(target, draw))
+        else:
+            target = copy / draw.choice(named if kind < 0.7 else rest)
+            target.write_bytes(harmed(target.read_bytes(), draw))
         if longer(copy / "config.yaml"):
             continue
         found = {p: p.read_bytes() for p in copy.rglob("*") if p.is_file()}
         capfd.readouterr()
+        if target.name == "config.yaml":  # what may be repeated is not trained
+            with monkeypatch.context() as patch:
+                patch.setattr(training, "train", lambda *_: None)
+                assert main([f"repeat={target}", f"run_dir={tmp_path / 'again'}"]) in (0, 2)
+            assert "Traceback" not in capfd.readouterr().err
+            shutil.rmtree(tmp_path / "again", ignore_errors=True)
         status = main([f"resume={copy}"])
         err = capfd.readouterr().err
         if status == 2:
@@ -178,6 +219,32 @@ def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd):
             iterations = [json.loads(entry)["iteration"] for entry in entries]
             assert iterations == list(range(1, max(4, len(entries)) + 1))
     print(f"{count} damaged files, {refused} refused, the others gone on from")
+
+
+@pytest.mark.parametrize("count", [10, pytest.param(60, marks=pytest.mark.survival)])
+def test_no_dump_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
+    """Up to the update that is run again."""
+    path, copy = tmp_path / "run", tmp_path / "copy"
+    command = [*CAR, "algo=ppo", "ppo.value_weight=3e38", "total_steps=256"]
+    assert main([*command, f"run_dir={path}"]) == 1
+    monkeypatch.setattr(replay, "replay", lambda *_: None)
+    assert replay.main([str(path / "wrong-1")]) == 0
+    draw = random.Random(count)
+    for _ in range(count):
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(path / "wrong-1", copy)
+        target = copy / "manifest.json"
+        if draw.random() < 0.5:
+            target = draw.choice(sorted(p for p in copy.rglob("*") if p.is_file()))
+            target.write_bytes(harmed(target.read_bytes(), draw))
+        else:
+            target.write_bytes(changed_file(target, draw))
+        capfd.readouterr()
+        status = replay.main([str(copy)])
+        err = capfd.readouterr().err
+        assert status in (0, 2), (target, err)
+        if status == 2:
+            one_line(err)
 
 
 def test_a_directory_from_elsewhere_executes_nothing():

@@ -114,11 +114,13 @@ def test_going_on_from_a_checkpoint_cuts_what_came_after_it_and_counts_what_was_
 def test_logs_that_were_changed_before_the_checkpoint_do_not_fit_it(tmp_path):
     records, manifest = filled(tmp_path / "a", 3, marked=2)
     records.close()
-    check_logs(tmp_path / "a", manifest["logs"])
+    check_logs(tmp_path / "a", [4, 5], manifest["logs"])
+    with pytest.raises(ValueError, match=r"of another run"):
+        check_logs(tmp_path / "a", [4], manifest["logs"])
     path = tmp_path / "a" / "episodes.csv"
     path.write_text(path.read_text().replace("5,8,3,1.0", "5,8,3,9.0"))
     with pytest.raises(ValueError, match=r"episodes.csv is not what was written"):
-        check_logs(tmp_path / "a", manifest["logs"])
+        check_logs(tmp_path / "a", [4, 5], manifest["logs"])
 
 
 def test_without_a_checkpoint_the_logs_begin_again(tmp_path):
