@@ -89,3 +89,16 @@ def first_states(agent: sndjax.Agent, seeds: list[int], example: Any) -> sndjax.
     init = jax.jit(partial(sndjax.init, agent))
     states = [init(jax.random.key(seed), example) for seed in seeds]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+
+def make_train_step(agent: sndjax.Agent, config: Config) -> Any:
+    """`train_step` of every seed, leaves [S, ...], with what a number that goes wrong does."""
+    step = sndjax.make_train_step(agent)
+
+    def watched(state, batch):
+        state, metrics, reward = step(state, batch)
+        fine = sndjax.all_finite(state._replace(key=()))
+        return state, metrics | {"state_finite": fine}, reward
+
+    steps = {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}
+    return over_seeds(steps[config.on_nan], config.num_seeds)

@@ -19,8 +19,8 @@ from experiments.collect import Collector
 from experiments.config import load
 from experiments.environments import make_pool
 from experiments.options import ConfigError
+from experiments.process import keep_compilations
 from experiments.run import refuse
-from experiments.training import keep_compilations
 from sndjax.train import train_module
 
 UPDATES = 10

@@ -155,3 +155,12 @@ class Records:
 def finite(value: Any) -> Any:
     """JSON has no NaN and no infinity: they become null."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def mean_line(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """The mean over seeds of every figure that is there for any."""
+    mean = {}
+    for key in lines[0]:
+        values = [line[key] for line in lines if line[key] is not None]
+        mean[key] = sum(values) / len(values) if values else None
+    return mean | {"step": lines[0]["step"]}

@@ -80,7 +80,7 @@ def replay(agent: Any, config: Config, state: Any, batch: Any) -> None:
     """Print what goes wrong, from the inputs on."""
     import jax
 
-    from experiments.training import make_train_step
+    from experiments.agents import make_train_step
     from experiments.watch import not_finite
 
     inputs = {"state before": state._replace(key=None), "batch": batch}

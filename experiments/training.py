@@ -1,9 +1,8 @@
 """The run itself: pool -> rollout -> train_step -> log, iteration after iteration."""
 
-import os
 import time
+from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sndjax
-from experiments.agents import build, first_states, over_seeds
+from experiments.agents import build, first_states, make_train_step, over_seeds
 from experiments.checkpoint import Checkpoints, Damaged
 from experiments.collect import Collector, Track
 from experiments.directory import Directory
@@ -20,9 +19,9 @@ from experiments.episodes import Episodes
 from experiments.estimate import seconds
 from experiments.interrupts import Interrupted, Interrupts
 from experiments.options import Config, ConfigError
-from experiments.process import return_freed_memory
+from experiments.process import keep_compilations, return_freed_memory, rss_mb
 from experiments.progress import Progress, clock
-from experiments.records import LOGS, Records, check_logs
+from experiments.records import LOGS, Records, check_logs, mean_line
 from experiments.stored import check_settings, settings
 from experiments.versions import versions
 from experiments.watch import Signs, dump, not_finite
@@ -31,33 +30,6 @@ WIDE = ("re3", "e3b", "ngu")  # signals whose unit is not that of a squared feat
 CHECKPOINT_SECONDS = 300  # a checkpoint at least this often
 LONG_SECONDS = 60  # an iteration that takes longer is always followed by one
 GRACE_SECONDS = 4  # that an update may go on after SIGTERM, so that its checkpoint is in time
-
-
-def keep_compilations() -> None:
-    """Turn on jax's compilation cache, so that the next run of the same sizes starts at once."""
-    default = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "sndjax" / "jax"
-    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        jax.config.update("jax_compilation_cache_dir", str(default))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-
-
-def rss_mb() -> float:
-    """Resident memory of this process, in MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def make_train_step(agent: sndjax.Agent, config: Config) -> Any:
-    """`train_step` of every seed, leaves [S, ...], with what a number that goes wrong does."""
-    step = sndjax.make_train_step(agent)
-
-    def watched(state, batch):
-        state, metrics, reward = step(state, batch)
-        fine = sndjax.all_finite(state._replace(key=()))
-        return state, metrics | {"state_finite": fine}, reward
-
-    steps = {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}
-    return over_seeds(steps[config.on_nan], config.num_seeds)
 
 
 class Run:
@@ -128,7 +100,7 @@ class Run:
         self.records = Records(self.path, self.seeds, self.pool.rooms, logs)
         title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {self.path}"
         self.progress = Progress(title, total, self.done * rows)
-        for line in self.said:
+        for line in [*self.said, *self.announcements()]:
             self.progress.say(line)
         try:
             try:
@@ -144,18 +116,22 @@ class Run:
             self.records.close()
             self.pool.close()
 
+    def announcements(self) -> Iterator[str]:
+        """What there is to know before the first iteration."""
+        algo = self.config.algo
+        if algo.signal in WIDE and algo.reward_scale == "none":
+            yield (
+                f"the signal {algo.signal} has no published scale: unless its share of clipped "
+                "rewards stays low, take algo.reward_scale=running_std"
+            )
+        if 0 < self.done < self.config.iterations:
+            yield f"going on from iteration {self.done}; environments begin new episodes"
+
     def iterate(self) -> None:
         """From the iteration the run stands at to its last."""
         config, progress = self.config, self.progress
         if self.done == config.iterations:
             return
-        if config.algo.signal in WIDE and config.algo.reward_scale == "none":
-            progress.say(
-                f"the signal {config.algo.signal} has no published scale: unless its share of "
-                "clipped rewards stays low, take algo.reward_scale=running_std"
-            )
-        if self.done:
-            progress.say(f"going on from iteration {self.done}; environments begin new episodes")
         progress.phase("compiling the policy")
         if self.state is None:
             self.state = self.fresh()
@@ -219,9 +195,8 @@ class Run:
         assert state is not None
         if self.update is None:
             self.compile(state, batch)
-        stop = self.config.on_nan == "stop"
         # The update uses the state's memory again. On the disk or here, one copy stays.
-        before = self.copy(state) if stop and self.checkpoints.newest != self.done else None
+        before = self.copy(state) if self.checkpoints.newest != self.done else None
         self.progress.phase("learning", self.expected)
         begun = time.monotonic()
         try:
@@ -233,8 +208,8 @@ class Run:
             raise
         self.expected = time.monotonic() - begun
         metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
-        wrong = not_finite(self.seeds, batch, metrics) if stop else []
-        if wrong:
+        wrong = not_finite(self.seeds, batch, metrics)
+        if wrong and self.config.on_nan == "stop":
             raise FloatingPointError(self.went_wrong(wrong, before, batch))
         metrics.pop("state_finite", None)
         self.state = state
@@ -323,15 +298,6 @@ class Run:
             self.checkpoints.wait()
         except OSError as error:
             self.progress.say(f"no checkpoint of this moment: {error}")
-
-
-def mean_line(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """The mean over seeds of every figure that is there for any."""
-    mean = {}
-    for key in lines[0]:
-        values = [line[key] for line in lines if line[key] is not None]
-        mean[key] = sum(values) / len(values) if values else None
-    return mean | {"step": lines[0]["step"]}
 
 
 def train(config: Config, directory: Directory, interrupts: Interrupts) -> None:

@@ -65,12 +65,11 @@ def test_a_learner_interrupted_and_resumed_on_a_recorded_rollout_gives_the_same_
 import pickle, sys
 from functools import partial
 import jax, numpy as np
-from experiments.agents import build, first_states, over_seeds
+from experiments.agents import build, first_states, make_train_step, over_seeds
 from experiments.checkpoint import Checkpoints
 from experiments.collect import Collector
 from experiments.config import load
 from experiments.environments import make_pool
-from experiments.training import make_train_step
 from pathlib import Path
 import sndjax
 
