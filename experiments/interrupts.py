@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+AGAIN = 0.2  # seconds until an exception that was swallowed is raised again
 
 
 class Interrupted(Exception):
@@ -27,8 +28,8 @@ class Interrupts:
     """While it is entered, a signal is kept until `check`, or breaks off what is waited for.
 
     An exception out of a signal handler can land anywhere, also where it is swallowed (in a
-    destructor or a callback); here it can land in `waiting` alone. Before `begin` there is
-    nothing to keep, and a signal ends the process.
+    destructor or a callback); here it can land in `waiting` alone, and is raised until it is
+    met. Before `begin` there is nothing to keep, and a signal ends the process.
     """
 
     def __init__(self) -> None:
@@ -41,11 +42,18 @@ class Interrupts:
         if threading.current_thread() is threading.main_thread():
             self.previous = {number: signal.signal(number, self.receive) for number in SIGNALS}
             self.previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, self.give_up)
+        self.unraisable, sys.unraisablehook = sys.unraisablehook, self.swallowed
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self.previous.items():
             signal.signal(number, handler)
+        sys.unraisablehook = self.unraisable
+
+    def swallowed(self, about: Any) -> None:
+        """An exception in a destructor or a callback goes nowhere; ours comes again."""
+        if about.exc_type is not Interrupted:
+            self.unraisable(about)
 
     def begin(self) -> None:
         """From here on there is something to lose, and `check` is called often."""
@@ -59,7 +67,11 @@ class Interrupts:
             os._exit(128 + number)
         again, self.received = self.received is not None, number
         if self.grace is not None:
-            signal.setitimer(signal.ITIMER_REAL, 1e-6 if again else max(self.grace, 1e-6))
+            self.alarm(0 if again else self.grace)
+
+    def alarm(self, delay: float) -> None:
+        """Give the wait so many seconds."""
+        signal.setitimer(signal.ITIMER_REAL, max(delay, 1e-6), AGAIN)
 
     def give_up(self, number: int, frame: object) -> None:
         """The handler of the alarm: the wait has had its time."""
@@ -85,7 +97,7 @@ class Interrupts:
         self.grace = grace
         try:
             if self.received is not None:  # it came since the check
-                signal.setitimer(signal.ITIMER_REAL, max(grace, 1e-6))
+                self.alarm(grace)
             yield
         finally:
             self.grace = None

@@ -65,6 +65,25 @@ def test_before_it_begins_a_signal_ends_the_process(number):
     assert done.stderr == "sndjax: interrupted before the first step\n"
 
 
+def test_an_exception_that_is_swallowed_in_a_wait_is_raised_again(capfd):
+    class Slow:
+        def __del__(self):
+            time.sleep(0.5)  # what is raised in here goes nowhere
+
+    def del_slowly_and_wait():
+        Slow()
+        threading.Event().wait(20)
+
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        begun = time.monotonic()
+        with pytest.raises(Interrupted), interrupts.waiting():
+            del_slowly_and_wait()
+        assert time.monotonic() - begun < 10
+    assert capfd.readouterr().err == ""
+
+
 def test_a_second_signal_breaks_a_wait_off_at_once():
     with Interrupts() as interrupts:
         interrupts.begin()
