@@ -1,7 +1,7 @@
 # make demo   train PPO and SND-VIC on MountainCar and draw both learning curves
 # make test   the test suite
-# make test-all  every cell of the grid on every kind of input too (half an hour)
-# make test-survival  fifty kills, thousands of bad inputs, half an hour without a leak (fifty minutes)
+# make test-all  every cell of the grid on every kind of input too (an hour)
+# make test-survival  fifty kills, thousands of bad inputs, half an hour of load (an hour)
 # make check  formatter, linter and type checker
 # make .venv  the environment alone; PYTHON=python3.12 picks another Python
 PYTHON ?= python3

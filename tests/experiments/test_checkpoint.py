@@ -1,4 +1,6 @@
 import random
+import subprocess
+import sys
 import threading
 
 import jax
@@ -198,3 +200,22 @@ def test_a_write_that_fails_is_told_at_the_next_one(state, tmp_path, monkeypatch
         checkpoints.wait()
     monkeypatch.undo()
     assert restore(tmp_path, state)[0] == 1
+
+
+@pytest.mark.survival
+def test_writing_checkpoints_stops_taking_memory(tmp_path):
+    code = f"""
+from pathlib import Path
+import numpy as np
+from experiments.checkpoint import write
+from experiments.process import rss_mb
+tree = {{f"a{{i}}": np.random.default_rng(i).normal(size=(64, 64)) for i in range(60)}}
+for k in range(601):
+    write(Path({str(tmp_path)!r}) / str(k % 3), tree, {{}})
+    if k % 100 == 0:
+        print(rss_mb())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    memory = [float(line) for line in done.stdout.split()]
+    print("MB after every hundred checkpoints:", *(f"{value:.0f}" for value in memory))
+    assert memory[-1] < 1.02 * memory[-4]
