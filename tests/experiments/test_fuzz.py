@@ -65,7 +65,7 @@ def one_line(err):
     assert err.startswith("sndjax: "), err
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.survival)])
+@pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.survival)])
 def test_no_command_line_makes_a_traceback_or_a_trace(count, tmp_path, monkeypatch, capfd):
     """In this process; what is accepted is not trained."""
     monkeypatch.chdir(tmp_path)
@@ -94,7 +94,7 @@ def test_no_command_line_makes_a_traceback_or_a_trace(count, tmp_path, monkeypat
     assert refused > count / 2
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(40, marks=pytest.mark.survival)])
+@pytest.mark.parametrize("count", [2, pytest.param(40, marks=pytest.mark.survival)])
 def test_nor_does_one_that_a_shell_starts(count, tmp_path):
     draw = random.Random(count + 1)
     tried = 0
@@ -173,7 +173,7 @@ def longer(path):
         return False
 
 
-@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.survival)])
+@pytest.mark.parametrize("count", [15, pytest.param(300, marks=pytest.mark.survival)])
 def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
     """Each is gone on from by the real command: finished, or refused in a line and untouched."""
     run, copy = tmp_path / "run", tmp_path / "copy"
@@ -221,7 +221,7 @@ def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd, mon
     print(f"{count} damaged files, {refused} refused, the others gone on from")
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(60, marks=pytest.mark.survival)])
+@pytest.mark.parametrize("count", [6, pytest.param(60, marks=pytest.mark.survival)])
 def test_no_dump_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
     """Up to the update that is run again."""
     path, copy = tmp_path / "run", tmp_path / "copy"

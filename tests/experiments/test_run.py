@@ -103,9 +103,11 @@ def test_two_iterations_of_every_algorithm_on_every_kind_of_environment(
     assert [p.name for p in tmp_path.iterdir()] == ["run"]  # no outputs/ folder
 
 
-@pytest.mark.parametrize("env", [["env=MountainCar"], ["env=Venture"]])
+@pytest.mark.parametrize(
+    "env", ["MountainCar", pytest.param("Venture", marks=pytest.mark.exhaustive)]
+)
 def test_a_seed_is_logged_apart_and_begins_as_it_would_alone(env, tmp_path):
-    common = [*env, "algo=snd_vic", *SMALL, "algo.minibatch_size=64", "total_steps=256"]
+    common = [f"env={env}", "algo=snd_vic", *SMALL, "algo.minibatch_size=64", "total_steps=256"]
     train(tmp_path / "many", *common, "num_seeds=2", "seed=4")
     train(tmp_path / "alone", *common, "seed=5")
     many = [entry for entry in lines(tmp_path / "many") if entry["seed"] == 5]
