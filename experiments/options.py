@@ -139,6 +139,11 @@ class Config:
         return self.num_envs * self.rollout_length
 
     @property
+    def seeds(self) -> list[int]:
+        """One per agent."""
+        return [self.seed + i for i in range(self.num_seeds)]
+
+    @property
     def iterations(self) -> int:
         """Iterations of the whole run."""
         return -(-self.total_steps // self.rows)

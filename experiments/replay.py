@@ -48,12 +48,11 @@ def load(dump: Path, config: Config) -> tuple[Any, Any, Any]:
     from experiments.collect import shapes
     from experiments.environments import make_pool
 
-    seeds = [config.seed + i for i in range(config.num_seeds)]
-    pool = make_pool(config.env, seeds, config.num_envs)
+    pool = make_pool(config.env, config.seeds, config.num_envs)
     agent = build(config, pool)
     example = jnp.zeros((config.num_envs, *pool.shape), pool.dtype)
     like = {
-        "state": raw_like(jax.eval_shape(lambda: first_states(agent, seeds, example))),
+        "state": raw_like(jax.eval_shape(lambda: first_states(agent, config.seeds, example))),
         "batch": shapes(pool, config.env.stack, config.rollout_length, agent.network.value_heads),
     }
     try:
@@ -92,8 +91,7 @@ def replay(agent: Any, config: Config, state: Any, batch: Any) -> None:
     metrics: dict[str, list[float]] = {
         name: value.tolist() for name, value in step(state, batch)[1].items()
     }
-    seeds = [config.seed + i for i in range(config.num_seeds)]
-    found = not_finite(seeds, batch, metrics)
+    found = not_finite(config.seeds, batch, metrics)
     for line in found:
         print(f"after the update, {line}")
     if not found:

@@ -39,7 +39,7 @@ class Run:
         """Prepare everything that can refuse the configuration; compile nothing yet."""
         keep_compilations()
         self.config, self.path = config, directory.path
-        self.seeds = [config.seed + i for i in range(config.num_seeds)]
+        self.seeds = config.seeds
         self.checkpoints = Checkpoints(directory.path)
         self.done = 0  # iterations
         self.manifest: dict[str, Any] = {}  # of the checkpoint that the run goes on from

@@ -3,10 +3,8 @@
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -184,24 +182,6 @@ def test_help_explains_every_option(tmp_path):
     assert status == 0
     for word in ("MontezumaRevenge", "snd_std", "ppo.learning_rate=0.0001", "num_seeds="):
         assert word in out
-
-
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupted_run_stops_at_once_and_says_how_to_go_on(number, status, tmp_path):
-    path = tmp_path / "run"
-    with start(
-        [*CAR, "algo=ppo", "total_steps=100_000_000", f"run_dir={path}"], tmp_path
-    ) as process:
-        while not (path / "metrics.jsonl").exists() or not (path / "metrics.jsonl").stat().st_size:
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.1)
-        process.send_signal(number)
-        begun = time.monotonic()
-        _, err = process.communicate(timeout=30)
-        assert time.monotonic() - begun < 10
-    assert process.returncode == status
-    assert f"resume={path}" in err
-    assert "Traceback" not in err
 
 
 def test_novelty_alone_is_a_run_and_pixels_of_other_games_too(tmp_path):

@@ -17,11 +17,10 @@ from experiments.environments import make_pool
 def tree_of(path, config=None):
     """The newest checkpoint of a run, as plain arrays."""
     config = config or load([f"resume={path}"])
-    seeds = [config.seed + i for i in range(config.num_seeds)]
-    pool = make_pool(config.env, seeds, config.num_envs)
+    pool = make_pool(config.env, config.seeds, config.num_envs)
     agent = build(config, pool)
     example = np.zeros((config.num_envs, *pool.shape), pool.dtype)
-    like = jax.eval_shape(lambda: first_states(agent, seeds, example))
+    like = jax.eval_shape(lambda: first_states(agent, config.seeds, example))
     checkpoints = Checkpoints(path)
     iteration, _, said = checkpoints.find(lambda manifest: None)
     assert not said

@@ -77,6 +77,16 @@ def whole_lines(path):
     return [json.loads(line) for line in text.split("\n")[:-1]]
 
 
+def stop(process, number):
+    """Send a signal; what the process then says. It is answered within ten seconds."""
+    process.send_signal(number)
+    begun = time.monotonic()
+    _, err = process.communicate(timeout=60)
+    assert time.monotonic() - begun < 10
+    assert "Traceback" not in err, err
+    return err
+
+
 def until(path, command, more, number=signal.SIGTERM):
     """Run until metrics.jsonl has so many lines more than it had, then stop it."""
     wanted = len(whole_lines(path)) + more
@@ -84,9 +94,9 @@ def until(path, command, more, number=signal.SIGTERM):
         while len(whole_lines(path)) < wanted:
             assert process.poll() is None, process.communicate()
             time.sleep(0.05)
-        process.send_signal(number)
-        _, err = process.communicate(timeout=60)
+        err = stop(process, number)
     assert process.returncode == 128 + number, err
+    assert f"resume={path}" in err
 
 
 @pytest.mark.parametrize("kills", [3, pytest.param(50, marks=survival)])
@@ -106,11 +116,7 @@ def test_a_run_that_is_killed_at_random_moments_loses_nothing(kills, tmp_path):
                     time.sleep(0.01)
                 time.sleep(draw.uniform(0, 3))
             number = draw.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-            process.send_signal(number)
-            begun = time.monotonic()
-            _, err = process.communicate(timeout=60)
-        assert time.monotonic() - begun < 10
-        assert "Traceback" not in err, err
+            stop(process, number)
         # At the very start Python's own handlers answer, before ours are there.
         ours = 128 + number if number != signal.SIGKILL else -number
         assert process.returncode in ((ours, -number) if killed % 3 == 0 else (ours,))
@@ -124,44 +130,49 @@ def test_a_run_that_is_killed_at_random_moments_loses_nothing(kills, tmp_path):
     assert without_clock(lines(path))[: len(kept)] == kept
 
 
-def test_sigterm_during_an_update_is_answered_within_ten_seconds(tmp_path):
-    """An update of minutes is broken off; the last checkpoint stands."""
+LONG = ["env=MountainCar", "algo=rnd", "num_envs=64", "rollout_length=512", "ppo.minibatch_size=64"]
+
+
+def test_sigterm_during_an_update_of_minutes_breaks_it_off(tmp_path):
     path = tmp_path / "run"
-    command = [
-        "env=MountainCar",
-        "algo=rnd",
-        "num_envs=64",
-        "rollout_length=512",
-        "ppo.epochs=1000",
-    ]
-    command += ["ppo.minibatch_size=64", "total_steps=100_000_000", f"run_dir={path}"]
+    command = [*LONG, "ppo.epochs=1000", "total_steps=100_000_000", f"run_dir={path}"]
     with running(command, tmp_path, out=subprocess.PIPE) as process:
         for line in process.stdout:
             if line.startswith("update compiled"):
                 break
         time.sleep(1)
-        process.send_signal(signal.SIGTERM)
-        begun = time.monotonic()
-        _, err = process.communicate(timeout=60)
-        assert time.monotonic() - begun < 10
+        err = stop(process, signal.SIGTERM)
     assert process.returncode == 143, err
     assert f"resume={path}" in err
     assert tree_of(path)[0] == len(lines(path)) == 0  # the one before the first update
 
 
-def test_sigterm_while_a_run_starts_is_answered_within_ten_seconds(tmp_path):
+def test_an_update_that_is_broken_off_leaves_the_state_before_it(tmp_path):
+    """Also where the newest checkpoint is older: the tenth iteration is the first that is due."""
+    path = tmp_path / "run"
+    command = [*LONG, "ppo.epochs=150", "total_steps=100_000_000", "checkpoint_every=10"]
+    with running([*command, f"run_dir={path}"], tmp_path) as process:
+        while len(whole_lines(path)) < 1:
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.01)
+        (line,) = lines(path)
+        assert line["update_seconds"] > 6, "too quick here to be broken off: take more epochs"
+        time.sleep(line["collect_seconds"] + 1)
+        err = stop(process, signal.SIGTERM)
+    assert process.returncode == 143, err
+    assert tree_of(path)[0] == len(lines(path)) == 1
+    check_nothing_lost(path, 1)
+
+
+def test_sigterm_while_a_run_starts_is_answered(tmp_path):
     """At once after the title: weights are being drawn and the policy compiled."""
     path = tmp_path / "run"
     command = ["env=Venture", "algo=snd_std", "num_envs=8", f"run_dir={path}", "resume=auto"]
     with running(command, tmp_path, out=subprocess.PIPE) as process:
         assert "Venture snd_std" in process.stdout.readline()
         time.sleep(0.5)
-        process.send_signal(signal.SIGTERM)
-        begun = time.monotonic()
-        _, err = process.communicate(timeout=60)
-        assert time.monotonic() - begun < 10
+        err = stop(process, signal.SIGTERM)
     assert process.returncode == 143, err
-    assert "Traceback" not in err
 
 
 def test_a_reader_that_goes_away_does_not_stop_the_run(tmp_path):
