@@ -1,29 +1,28 @@
 """Checkpoints: written while training goes on, whole or not at all, verified before they are read.
 
-checkpoints/<iteration>/tree/          orbax's files
-checkpoints/<iteration>/manifest.json  their digests, and where the logs stood
+checkpoints/<iteration>/arrays.npz     every array by its path in the state; `np.load` reads them
+checkpoints/<iteration>/manifest.json  its digest, and where the logs stood
 """
 
-import errno
 import hashlib
 import json
 import os
 import re
 import shutil
 import threading
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-import orbax.checkpoint as ocp
 
 from sndjax import TrainState
 
 KEEP = 2  # the newest checkpoints that stay; the best one stays beside them
 MANIFEST = "manifest.json"
-ROOM = 300_000  # bytes that a checkpoint takes beside its arrays, at most
+ARRAYS = "arrays.npz"
 
 
 class Damaged(Exception):
@@ -182,11 +181,11 @@ def write(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
     try:
         remove(new)
         new.mkdir(parents=True)
-        check_room(new, tree)
-        with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
-            checkpointer.save((new / "tree").resolve(), args=ocp.args.StandardSave(solid(tree)))
-        files = {str(p.relative_to(new)): digest(p) for p in new.rglob("*") if p.is_file()}
-        body = json.dumps(manifest | {"files": files, "arrays": arrays(tree)}, sort_keys=True)
+        with zipfile.ZipFile(new / ARRAYS, "w") as archive:
+            for name, value in named(tree):
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, value, allow_pickle=False)
+        body = json.dumps(manifest | {"arrays": digest(new / ARRAYS)}, sort_keys=True)
         seal = hashlib.sha256(body.encode()).hexdigest()
         (new / MANIFEST).write_text(f'{{"sha256": "{seal}", {body[1:]}')
         for place in (*new.rglob("*"), new):
@@ -217,17 +216,18 @@ def manifest_of(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def verified(path: Path, fits: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
-    """The manifest at `path`, after every byte that it speaks of was compared with its digest.
+def verified(
+    path: Path, fits: Callable[[dict[str, Any]], None] = lambda manifest: None
+) -> dict[str, Any]:
+    """The manifest at `path`, after every byte of the arrays was compared with their digest.
 
     Raises:
       Damaged: in a few words, what is wrong.
     """
     manifest = manifest_of(path)
     try:
-        for name, wanted in manifest["files"].items():
-            if digest(path / name) != wanted:
-                raise Damaged(f"{name} is not what was written")
+        if digest(path / ARRAYS) != manifest["arrays"]:
+            raise Damaged(f"{ARRAYS} is not what was written")
         fits(manifest)
     except FileNotFoundError as error:
         raise Damaged(f"{Path(error.filename).name} is missing") from None
@@ -246,40 +246,29 @@ def read(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
     Raises:
       Damaged: it is not what was written, or not of the shapes of `like`.
     """
-
-    def same_arrays(manifest: dict[str, Any]) -> None:  # orbax would cut them or fill them up
-        for name, wanted in arrays(like).items():
-            found = manifest["arrays"].get(name, "none")
-            if found != wanted:
-                raise ValueError(f"{name} is {found}, not {wanted}")
-
-    manifest = verified(path, same_arrays)
+    manifest = verified(path)
     try:
-        with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
-            target = (path / "tree").resolve()
-            tree = checkpointer.restore(target, args=ocp.args.StandardRestore(solid(like)))
-    except Exception as error:  # orbax raises many things
-        raise Damaged((str(error).strip() or type(error).__name__).splitlines()[0]) from None
-    hollow = lambda wanted, found: found if wanted.size else np.zeros(wanted.shape, wanted.dtype)
-    return jax.tree.map(hollow, like, tree), manifest
+        with np.load(path / ARRAYS, allow_pickle=False) as archive:
+            found = dict(archive)
+    except Exception as error:  # what a digest does not show is written elsewhere
+        raise Damaged(f"{ARRAYS}: {str(error) or type(error).__name__}") from None
+    leaves = []
+    for name, wanted in named(like):
+        if kind(found.get(name)) != kind(wanted):
+            raise Damaged(f"{name} is {kind(found.get(name))}, not {kind(wanted)}")
+        leaves.append(found[name])
+    return jax.tree.unflatten(jax.tree.structure(like), leaves), manifest
 
 
-def check_room(path: Path, tree: Any) -> None:
-    """Raise OSError unless a tree fits on the disk: orbax notices late and with many words."""
-    needed = sum(x.nbytes for x in jax.tree.leaves(tree)) + ROOM
-    if shutil.disk_usage(path).free < needed:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-
-def solid(tree: Any) -> Any:
-    """The tree with something in every array of no elements, which orbax refuses to store."""
-    return jax.tree.map(lambda x: x if x.size else np.zeros(1, x.dtype), tree)
-
-
-def arrays(tree: Any) -> dict[str, str]:
-    """The dtype and the shape of every array of a tree, by its path."""
+def named(tree: Any) -> list[tuple[str, Any]]:
+    """Every array of a tree with its path, such as params/ppo/torso/kernel."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
-    return {jax.tree_util.keystr(path): f"{x.dtype}{list(x.shape)}" for path, x in leaves}
+    return [(jax.tree_util.keystr(path, simple=True, separator="/"), x) for path, x in leaves]
+
+
+def kind(array: Any) -> str:
+    """The dtype and the shape of an array, or of the want of one."""
+    return "none" if array is None else f"{array.dtype}{list(array.shape)}"
 
 
 def digest(path: Path) -> str:
