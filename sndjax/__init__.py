@@ -34,7 +34,7 @@ from sndjax.objectives.vicreg import vicreg, vicreg_loss
 from sndjax.objectives.vicreg_inverse import vicreg_inverse
 from sndjax.ppo import Hyperparameters, clipped_surrogate
 from sndjax.returns import generalized_advantage
-from sndjax.rollout import Stack, transitions
+from sndjax.rollout import Stack, consecutive, transitions
 from sndjax.scaling import scale_reward
 from sndjax.signals.disagreement import disagreement, ensemble_variance
 from sndjax.signals.distillation import distillation, distillation_error, distillation_loss
@@ -100,6 +100,7 @@ __all__ = [
     "cell",
     "clipped_surrogate",
     "compose",
+    "consecutive",
     "contrastive",
     "contrastive_loss",
     "disagreement",

@@ -95,13 +95,18 @@ def compose(
         batch = without_invalid(batch)
         key_objective, key_signal = jax.random.split(key)
         seen = view(params, state)
-        z, local = seen.encode(batch.frame, batch.action)
-        z_next, local_next = seen.encode(batch.next_frame) if pairs else (z, local)
-        features = Features(z, z_next, local, local_next)
+        if pairs:
+            z, local = seen.encode(batch.frames)
+            features = Features(batch.now(z), batch.then(z), batch.now(local), batch.then(local))
+        else:
+            z, local = seen.encode(batch.frame, batch.action)
+            features = Features(z, z, local, local)
         total, metrics = signal.loss(
             params["signal"], state["signal"], seen, features, batch, key_signal
         )
-        metrics = metrics | {"feature_spread": feature_spread(lax.stop_gradient(z), batch.valid)}
+        metrics = metrics | {
+            "feature_spread": feature_spread(lax.stop_gradient(features.z), batch.valid)
+        }
         if objective is None:
             return total, metrics
         more = {}

@@ -23,17 +23,18 @@ class Stack(NamedTuple):
 
 def transitions(rollout: Rollout, index: Int[Array, " B"]) -> Transition:
     """The rows `index` of the flattened rollout, row t of environment n being t * N + n."""
-    steps, envs = rollout.action.shape
-    frames = rollout.frames.reshape((steps + 1) * envs, *rollout.frames.shape[2:])
-    take = lambda x: x.reshape(-1)[index]
-    return Transition(
-        frames[index],
-        take(rollout.action),
-        frames[index + envs],
-        take(rollout.first),
-        take(rollout.done),
-        take(rollout.valid),
-    )
+    envs = rollout.action.shape[1]
+    frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
+    seen = jnp.concatenate([frames[index], frames[index + envs]])
+    return Transition(seen, *(x.reshape(-1)[index] for x in rollout[1:]))
+
+
+def consecutive(rollout: Rollout, start: Int[Array, ""], rows: int) -> Transition:
+    """The `rows` rows from `start` on: the same as `transitions`, each frame there once."""
+    envs = rollout.action.shape[1]
+    cut = lambda x, size: lax.dynamic_slice_in_dim(x, start, size)
+    frames = cut(rollout.frames.reshape(-1, *rollout.frames.shape[2:]), rows + envs)
+    return Transition(frames, *(cut(x.reshape(-1), rows) for x in rollout[1:]))
 
 
 def without_invalid(batch: Transition) -> Transition:
@@ -42,13 +43,12 @@ def without_invalid(batch: Transition) -> Transition:
     A mask on the loss alone would not do: 0 times NaN is NaN in the backward pass.
     """
 
-    def clean(x):
-        return jnp.where(expand(batch.valid, x), x, jnp.zeros_like(x))
-
+    valid, frames = batch.valid, batch.frames
+    others = (0, frames.shape[0] - valid.shape[0])
+    seen = jnp.pad(valid, others) | jnp.pad(valid, others[::-1])  # as s_t, or as s_t+1
     return batch._replace(
-        frame=clean(batch.frame),
-        action=clean(batch.action),
-        next_frame=clean(batch.next_frame),
+        frames=jnp.where(expand(seen, frames), frames, jnp.zeros_like(frames)),
+        action=jnp.where(valid, batch.action, 0),
         first=batch.first & batch.valid,
         done=batch.done & batch.valid,
     )

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 from sndjax import ppo
 from sndjax.acting import Agent, forward, scale_vectors
 from sndjax.returns import generalized_advantage
-from sndjax.rollout import channels, stacker, transitions
+from sndjax.rollout import channels, consecutive, stacker, transitions
 from sndjax.scaling import scale_reward
 from sndjax.statistics import expand, init_return_scale, no_moments, update_moments
 from sndjax.types import Experience, Metrics, TrainState
@@ -151,12 +151,19 @@ def train_module(
     if motivation.shuffle:
         rows = jax.random.permutation(key_order, rows)
     index = rows.reshape(-1, motivation.minibatch_size)
+    # In order, s_t+1 of most rows is s_t of others; in less than a step of rows, of none.
+    apart = motivation.shuffle or motivation.minibatch_size < rollout.action.shape[1]
 
     def minibatch(carry, inputs):
         params, optimizer_state, module_state = carry
         index, key = inputs
+        batch = (
+            transitions(rollout, index)
+            if apart
+            else consecutive(rollout, index[0], motivation.minibatch_size)
+        )
         (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
-            params, module_state, transitions(rollout, index), rollout, key
+            params, module_state, batch, rollout, key
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         params = optax.apply_updates(params, updates)

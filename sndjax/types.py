@@ -43,14 +43,40 @@ class Experience(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """A minibatch of rows of a rollout."""
+    """A minibatch of rows of a rollout.
 
-    frame: Shaped[Array, "B *frame"]
+    The first B of `frames` are s_t, the last B are s_t+1. Rows that are drawn have 2B of them;
+    rows of consecutive steps share theirs, so that an encoder sees B + N.
+
+    >>> import jax.numpy as jnp
+    >>> batch = Transition(jnp.arange(5), *4 * [jnp.zeros(3)])
+    >>> batch.frame, batch.next_frame
+    (Array([0, 1, 2], dtype=int32), Array([2, 3, 4], dtype=int32))
+    """
+
+    frames: Shaped[Array, "M *frame"]  # M >= B
     action: Int[Array, " B"]
-    next_frame: Shaped[Array, "B *frame"]
     first: Bool[Array, " B"]
     done: Bool[Array, " B"]
     valid: Bool[Array, " B"]
+
+    def now(self, x: Shaped[Array, "M ..."]) -> Shaped[Array, "B ..."]:
+        """Of something that belongs to `frames`, what belongs to s_t."""
+        return x[: self.valid.shape[0]]
+
+    def then(self, x: Shaped[Array, "M ..."]) -> Shaped[Array, "B ..."]:
+        """Of something that belongs to `frames`, what belongs to s_t+1."""
+        return x[x.shape[0] - self.valid.shape[0] :]
+
+    @property
+    def frame(self) -> Shaped[Array, "B *frame"]:
+        """s_t of every row."""
+        return self.now(self.frames)
+
+    @property
+    def next_frame(self) -> Shaped[Array, "B *frame"]:
+        """s_t+1 of every row."""
+        return self.then(self.frames)
 
 
 class Features(NamedTuple):

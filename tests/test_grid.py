@@ -14,7 +14,7 @@ import optax
 import pytest
 from builders import KINDS, frames, rollout
 
-from sndjax import ATARI, PROCGEN, VECTOR, Rollout, grid, transitions
+from sndjax import ATARI, PROCGEN, VECTOR, Rollout, consecutive, grid, transitions
 from sndjax.grid import COPYING, OBJECTIVES, SIGNALS
 
 # Signals with a loss of their own, and the name of its metric.
@@ -81,12 +81,34 @@ def with_garbage(rows):
     """The rows, those that do not count full of NaN or of impossible numbers."""
 
     def bad(x):
-        mask = rows.valid.reshape((-1,) + (1,) * (x.ndim - 1))
+        valid = jnp.tile(rows.valid, x.shape[0] // rows.valid.shape[0])
+        mask = valid.reshape((-1,) + (1,) * (x.ndim - 1))
         return jnp.where(mask, x, jnp.asarray(jnp.nan if x.dtype.kind == "f" else 77, x.dtype))
 
-    return rows._replace(
-        frame=bad(rows.frame), next_frame=bad(rows.next_frame), action=bad(rows.action)
-    )
+    return rows._replace(frames=bad(rows.frames), action=bad(rows.action))
+
+
+@pytest.mark.parametrize(("objective", "signal", "kind"), parameters([FLAT]))
+def test_rows_that_share_their_frames_give_the_same_loss_and_gradients(objective, signal, kind):
+    module, params, state, batch, _ = case(objective, signal, kind)
+    envs = batch.action.shape[1]
+    start, count = 2 * envs, 5 * envs
+    drawn = transitions(batch, jnp.arange(start, start + count))
+    shared = consecutive(batch, jnp.int32(start), count)
+    assert shared.frames.shape[0] == count + envs
+    assert not np.all(drawn.valid)
+    loss = lambda p, rows: module.loss(p, state, rows, batch, jax.random.key(2))
+    graded = jax.jit(jax.value_and_grad(loss, has_aux=True))
+    wanted = graded(params, with_garbage(drawn))
+    # What no valid row reads, as s_t or as s_t+1, is garbage.
+    read = np.concatenate([drawn.valid, np.zeros(envs, bool)])
+    read |= np.concatenate([np.zeros(envs, bool), drawn.valid])
+    assert not np.all(read)
+    got = graded(params, shared._replace(frames=jnp.where(read[:, None], shared.frames, jnp.nan)))
+    pairs = list(zip(*map(jax.tree.leaves, (got, wanted)), strict=True))
+    largest = max(float(jnp.max(jnp.abs(other), initial=0.0)) for _, other in pairs)
+    for one, other in pairs:
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5 * largest)
 
 
 @pytest.mark.parametrize(("objective", "signal", "kind"), parameters(KINDS))

@@ -3,7 +3,16 @@ import numpy as np
 import pytest
 from builders import KINDS, experience, rollout
 
-from sndjax.rollout import Stack, channels, map_steps, push, stacker, transitions, without_invalid
+from sndjax.rollout import (
+    Stack,
+    channels,
+    consecutive,
+    map_steps,
+    push,
+    stacker,
+    transitions,
+    without_invalid,
+)
 
 ATARI = KINDS[0]
 
@@ -20,10 +29,22 @@ def test_transitions_are_the_rows_of_the_rollout():
             assert getattr(batch, name)[row] == getattr(made, name)[t, n]
 
 
+def test_consecutive_rows_are_the_same_rows_with_each_frame_once():
+    made = rollout(ATARI, np.random.default_rng(0), steps=5, envs=3)
+    for start, rows in ((0, 6), (3, 9), (4, 5), (2, 2)):
+        got = consecutive(made, jnp.int32(start), rows)
+        assert got.frames.shape[0] == rows + 3
+        wanted = transitions(made, jnp.arange(start, start + rows))
+        for name in ("frame", "next_frame", "action", "first", "done", "valid"):
+            np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
+
+
 def test_without_invalid_clears_the_rows_that_do_not_count_and_no_others():
     made = rollout(KINDS[2], np.random.default_rng(0), chance=0.5)
     batch = transitions(made, jnp.arange(made.action.size))
-    dirty = batch._replace(frame=jnp.where(batch.valid[:, None], batch.frame, jnp.nan))
+    dirty = batch._replace(
+        frames=jnp.where(jnp.tile(batch.valid, 2)[:, None], batch.frames, jnp.nan)
+    )
     clean = without_invalid(dirty)
     valid = np.asarray(batch.valid)
     assert not valid.all()

@@ -66,12 +66,10 @@ def byol(decay: float = 0.99) -> Objective:
             projected = projector.apply(params["projector"], z)
             return cast(Array, predictor.apply(params["predictor"], projected))
 
-        def slow(frames) -> Array:
-            z, _ = average.encode(frames)
-            return cast(Array, projector.apply(average.params["projector"], z))
-
-        forth = byol_distance(online(features.z), slow(batch.next_frame), batch.valid)
-        back = byol_distance(online(features.z_next), slow(batch.frame), batch.valid)
+        z, _ = average.encode(batch.frames)
+        slow = cast(Array, projector.apply(average.params["projector"], z))
+        forth = byol_distance(online(features.z), batch.then(slow), batch.valid)
+        back = byol_distance(online(features.z_next), batch.now(slow), batch.valid)
         return forth + back, {"byol_forth": forth, "byol_back": back}
 
     return Objective(init, loss, decay=decay)

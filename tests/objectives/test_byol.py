@@ -60,7 +60,7 @@ def test_each_view_predicts_the_averaged_network_of_the_other():
     objective = byol()
     params, slow = (objective.init(jax.random.key(k), features, 3) for k in (0, 1))
     valid = jnp.arange(5) < 4
-    batch = Transition(frame, None, next_frame, None, None, valid)
+    batch = Transition(jnp.concatenate([frame, next_frame]), None, None, None, valid)
     average = Average(slow, lambda x: (2 * x, None))
     got, _ = objective.loss(params, None, features, batch, None, None, average=average)
     wanted = 0.0

@@ -60,7 +60,7 @@ def test_the_model_reads_both_states_and_has_the_widths_of_the_table(last, middl
         x = (np.maximum(x, 0) if i else x) @ np.asarray(dense["kernel"], np.float64)
         x = x + np.asarray(dense["bias"], np.float64)
     _, action, valid = case(0, rows=6, actions=3)
-    batch = Transition(None, action, None, None, None, valid)
+    batch = Transition(None, action, None, None, valid)
     got, _ = objective.loss(params, None, features, batch, None, None)
     np.testing.assert_allclose(got, in_numpy(x, action, valid), rtol=1e-4)
     gain = np.linalg.svd(np.asarray(params["params"]["Dense_0"]["kernel"]))[1]

@@ -141,7 +141,7 @@ def test_the_objective_maps_the_next_states_features():
         np.asarray(x) @ np.asarray(dense[name]["kernel"]) + np.asarray(dense[name]["bias"])
     )
     valid = jnp.ones(rows, bool)
-    batch = Transition(None, None, None, None, None, valid)
+    batch = Transition(None, None, None, None, valid)
     got, _ = objective.loss(params, None, features, batch, None, None)
     wanted = in_numpy(
         features.local,

@@ -24,7 +24,7 @@ def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
     action = jnp.array([0, 1, 2, 0, 1, 2])
     vinv = vicreg_inverse()
     params = vinv.init(jax.random.key(0), features, 3)
-    batch = Transition(None, action, None, None, None, valid)
+    batch = Transition(None, action, None, None, valid)
     got, metrics = vinv.loss(params, None, features, batch, None, jax.random.key(1))
     logits = Perceptron((8, 4, 3)).apply(params[1], jnp.concatenate([z, z_next], -1))
     wanted = vicreg_loss(z, z_next, valid)[0] + inverse_dynamics_loss(logits, action, valid)[0] / 2
