@@ -9,8 +9,9 @@ import itertools
 from collections.abc import Sequence
 from math import prod
 
+from sndjax.convolution import Convolution
 from sndjax.grid import OBJECTIVES, networks
-from sndjax.networks import Architecture, Convolution, Encoder
+from sndjax.networks import Architecture, Encoder
 
 TRAINED = 3  # forward 1 and backward 2
 

@@ -1,14 +1,14 @@
-"""The one place that knows how a convolution is lowered on each backend.
+"""The one place that knows how convolutions are lowered on each backend.
 
-On a CPU a convolution is patches times weights, a slice of the batch at a time:
-the patches of a slice stay in the cache, bias and activation are applied there, and
-unlike XLA's native CPU convolution the product is as fast inside a loop as outside
-one. Everywhere else it is the native convolution. The tests hold the two equal.
+On a CPU a convolution is patches times weights, and a slice of the batch goes through all
+layers before the next one does: what one layer hands to the next stays in the cache, and
+unlike XLA's native CPU convolution the products are as fast inside a loop as outside one.
+Everywhere else it is the native convolution. The tests hold the two equal.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,21 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Shaped
 
-SLICE = 8  # images whose patches are in the cache at once
+SLICE = 8  # images that are in the cache at once
+WIDE = 64  # more weights than this per output
 
+
+class Convolution(NamedTuple):
+    """One convolutional layer: channels out, kernel side, stride and padding in pixels."""
+
+    channels: int
+    size: int = 3
+    stride: int = 1
+    padding: int = 1
+
+
+Layers = tuple[Convolution, ...]
+Weights = tuple[tuple[Array, Array], ...]  # the kernel [k, k, C, O] and the bias [O] of each
 Activation = Literal["elu", "relu", "none"]
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "elu": jax.nn.elu,
@@ -41,13 +54,14 @@ def to_float(x: Shaped[Array, "*shape"]) -> Float[Array, "*shape"]:
     return x.astype(jnp.float32) / 255.0 if x.dtype == jnp.uint8 else x
 
 
-def patches(x: Shaped[Array, "B H W C"], size: int, stride: int, padding: int):
-    """The `size` x `size` neighbourhoods of an image, as `[B, I, J, size * size * C]`."""
+def patches(x: Shaped[Array, "B H W C"], layer: Convolution) -> Float[Array, "B I J K"]:
+    """The neighbourhoods that a layer weighs, K = size * size * C, as floats."""
+    _, size, stride, padding = layer
     _, height, width, _ = x.shape
     rows = (height + 2 * padding - size) // stride + 1
     columns = (width + 2 * padding - size) // stride + 1
     x = jnp.pad(x, ((0, 0), (padding, padding), (padding, padding), (0, 0)))
-    return jnp.concatenate(
+    neighbourhoods = jnp.concatenate(
         [
             x[
                 :,
@@ -59,6 +73,7 @@ def patches(x: Shaped[Array, "B H W C"], size: int, stride: int, padding: int):
         ],
         axis=-1,
     )
+    return to_float(neighbourhoods)
 
 
 def slices(x: Shaped[Array, "B *rest"]) -> Shaped[Array, "M m *rest"]:
@@ -66,103 +81,143 @@ def slices(x: Shaped[Array, "B *rest"]) -> Shaped[Array, "M m *rest"]:
     return x.reshape(-1, min(SLICE, x.shape[0]), *x.shape[1:])
 
 
-def weigh(images: Array, kernel: Array, bias: Array, stride: int, padding: int, activation: str):
-    """One slice's output: activation(patches times weights + bias)."""
-    neighbourhoods = to_float(patches(images, kernel.shape[0], stride, padding))
-    y = neighbourhoods @ kernel.reshape(-1, kernel.shape[-1])
-    return ACTIVATIONS[activation](y + bias[None, None, None, :])
+def whole(x: Shaped[Array, "M m *rest"]) -> Shaped[Array, "B *rest"]:
+    """The batch again."""
+    return x.reshape(-1, *x.shape[2:])
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(3, 4, 5))
-def sliced(x: Array, kernel: Array, bias: Array, stride: int, padding: int, activation: str):
-    """The layer on a batch of whole slices, slice by slice.
+def through(images: Array, weights: Weights, layers: Layers, activation: Activation):
+    """One slice's maps, activation(patches times weights + bias) of each layer, and its patches."""
+    maps, gathered = [], []
+    for (kernel, bias), layer in zip(weights, layers, strict=True):
+        gathered.append(patches(images, layer))
+        y = gathered[-1] @ kernel.reshape(-1, layer.channels)
+        images = ACTIVATIONS[activation](y + bias[None, None, None, :])
+        maps.append(images)
+    return maps, gathered
 
-    The backward pass keeps inputs and outputs alone: the slope of the activation is read
-    off its output, and patches are made again while their slice is in the cache.
+
+def chosen(maps: list[Array], wanted: tuple[int, ...]) -> tuple[Array, ...]:
+    """The maps of the wanted layers, counted from the first."""
+    return tuple(maps[i] for i in wanted)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2, 3, 4))
+def sliced(x: Array, weights: Weights, layers: Layers, activation: Activation, wanted):
+    """The layers on a batch of whole slices, slice by slice."""
+    apply = lambda images: chosen(through(images, weights, layers, activation)[0], wanted)
+    return jax.tree.map(whole, lax.map(apply, slices(x)))
+
+
+def sliced_forward(x, weights, layers, activation, wanted):
+    """The wanted maps, and what the backward pass needs.
+
+    That is every map but the first one, which is the largest and the cheapest to make again.
     """
-    apply = lambda images: weigh(images, kernel, bias, stride, padding, activation)
-    y = lax.map(apply, slices(x))
-    return y.reshape(-1, *y.shape[2:])
+    again = 0 if 0 in wanted else 1
+    apply = lambda images: through(images, weights, layers, activation)[0][again:]
+    maps = jax.tree.map(whole, lax.map(apply, slices(x)))
+    return chosen([x] * again + maps, wanted), (x, weights, maps)
 
 
-def sliced_forward(x, kernel, bias, stride, padding, activation):
-    """The layer, and what its backward pass needs."""
-    y = sliced(x, kernel, bias, stride, padding, activation)
-    return y, (x, kernel, bias, y)
+def sliced_backward(layers, activation, wanted, kept, gradients):
+    """The gradients in x (none for pixels) and in the weights, slice by slice.
 
-
-def sliced_backward(stride, padding, activation, kept, gradient):
-    """The gradients in x (none for pixels), kernel and bias, slice by slice."""
-    x, kernel, bias, y = kept
-    size, outputs = kernel.shape[0], kernel.shape[-1]
-    weights = kernel.reshape(-1, outputs)
-    gather = lambda images: to_float(patches(images, size, stride, padding))
+    The slope of an activation is read off its output; patches are made again.
+    """
+    x, weights, maps = kept
+    again = len(layers) - len(maps)
     pixels = x.dtype == jnp.uint8
 
     def step(total, part):
-        images, y, gradient = part
-        gradient = gradient * SLOPES[activation](y)
-        flat = gradient.reshape(-1, outputs)
-        neighbourhoods = gather(images).reshape(-1, weights.shape[0])
-        total = (total[0] + neighbourhoods.T @ flat, total[1] + jnp.sum(flat, axis=0))
-        if pixels:
-            return total, None
-        (back,) = jax.linear_transpose(gather, images)(gradient @ weights.T)
-        return total, back
+        images, maps, gradients = part
+        made, gathered = through(images, weights[:again], layers[:again], activation)
+        maps = [images, *made, *maps]
+        found, gradient = [], jnp.zeros_like(maps[-1])
+        for i in reversed(range(len(layers))):
+            kernel = weights[i][0].reshape(-1, layers[i].channels)
+            own = [g for j, g in zip(wanted, gradients, strict=True) if j == i]
+            gradient = sum(own, gradient) * SLOPES[activation](maps[i + 1])
+            flat = gradient.reshape(-1, layers[i].channels)
+            seen = gathered[i] if i < again else patches(maps[i], layers[i])
+            found.append((transposed(seen) @ flat, jnp.sum(flat, axis=0)))
+            if i or not pixels:
+                back = (flat @ kernel.T).reshape(seen.shape)
+                spread = jax.linear_transpose(partial(patches, layer=layers[i]), maps[i])
+                (gradient,) = spread(back)
+        return jax.tree.map(jnp.add, total, found[::-1]), None if pixels else gradient
 
-    start = (jnp.zeros_like(weights), jnp.zeros_like(bias))
-    (d_weights, d_bias), d_x = lax.scan(step, start, (slices(x), slices(y), slices(gradient)))
-    d_x = np.zeros(x.shape, jax.dtypes.float0) if pixels else d_x.reshape(x.shape)
-    return d_x, d_weights.reshape(kernel.shape), d_bias
+    start = [(jnp.zeros_like(k.reshape(-1, k.shape[-1])), jnp.zeros_like(b)) for k, b in weights]
+    parts = jax.tree.map(slices, (x, maps, gradients))
+    total, d_x = lax.scan(step, start, parts)
+    d_x = np.zeros(x.shape, jax.dtypes.float0) if pixels else whole(d_x)
+    shaped = [(k.reshape(w.shape), b) for (k, b), (w, _) in zip(total, weights, strict=True)]
+    return d_x, tuple(shaped)
+
+
+def transposed(neighbourhoods: Float[Array, "B I J K"]) -> Float[Array, "K M"]:
+    """One column per position.
+
+    Many weights take their gradient faster from patches that lie transposed in memory than
+    from a product that reads them across; of few they do not.
+    """
+    columns = neighbourhoods.reshape(-1, neighbourhoods.shape[-1]).T
+    return lax.optimization_barrier(columns) if columns.shape[0] > WIDE else columns
 
 
 sliced.defvjp(sliced_forward, sliced_backward)
 
 
-def convolve_patches(x, kernel, bias, stride, padding, activation):
-    """`convolve` as patches times weights, sliced over the batch."""
+def convolve_patches(x, weights, layers, activation, wanted):
+    """`convolve` as patches times weights, slice by slice of the batch."""
     count = x.shape[0]
     short = -count % min(SLICE, count)
     x = jnp.pad(x, ((0, short), (0, 0), (0, 0), (0, 0)))
-    return sliced(x, kernel, bias, stride, padding, activation)[:count]
+    return tuple(y[:count] for y in sliced(x, weights, layers, activation, wanted))
 
 
-def convolve_native(x, kernel, bias, stride, padding, activation):
-    """`convolve` as XLA's own operation."""
-    y = lax.conv_general_dilated(
-        to_float(x).astype(kernel.dtype),
-        kernel,
-        (stride, stride),
-        ((padding, padding), (padding, padding)),
-        dimension_numbers=("NHWC", "HWIO", "NHWC"),
-    )
-    return ACTIVATIONS[activation](y + bias[None, None, None, :])
+def convolve_native(x, weights, layers, activation, wanted):
+    """`convolve` as XLA's own operation, layer by layer."""
+    maps = []
+    x = to_float(x).astype(weights[0][0].dtype)
+    for (kernel, bias), layer in zip(weights, layers, strict=True):
+        x = lax.conv_general_dilated(
+            x,
+            kernel,
+            (layer.stride, layer.stride),
+            ((layer.padding, layer.padding), (layer.padding, layer.padding)),
+            dimension_numbers=("NHWC", "HWIO", "NHWC"),
+        )
+        x = ACTIVATIONS[activation](x + bias[None, None, None, :])
+        maps.append(x)
+    return chosen(maps, wanted)
 
 
 def convolve(
     x: Shaped[Array, "B H W C"],
-    kernel: Float[Array, "k k C O"],
-    bias: Float[Array, " O"],
-    stride: int,
-    padding: int,
+    weights: Weights,
+    layers: Layers,
     activation: Activation,
-) -> Float[Array, "B I J O"]:
-    """A convolutional layer: activation(x * kernel + bias), `*` the cross-correlation.
+    wanted: tuple[int, ...],
+) -> tuple[Float[Array, "B I J O"], ...]:
+    """Convolutional layers, one after another: each activation(x * kernel + bias).
+
+    `*` is the cross-correlation.
 
     Args:
       x: `uint8` pixels (read as x / 255) or `float32`, channels last.
-      kernel: `[k, k, C, O]`.
-      bias: `[O]`.
-      stride: the step between neighbourhoods, in pixels.
-      padding: zeros added on each side, in pixels.
+      weights: of each layer its kernel `[k, k, C, O]` and its bias `[O]`.
+      layers: of each layer its channels O, its kernel side k, its stride and its padding.
       activation: "elu", "relu" or "none".
+      wanted: the layers whose maps are returned, counted from 0.
 
     Returns:
-      `[B, I, J, O]` with `I = (H + 2 * padding - k) // stride + 1`, `J` likewise.
+      The wanted maps `[B, I, J, O]`, `I = (H + 2 * padding - k) // stride + 1`, `J` likewise.
 
-    >>> x, kernel = jnp.ones((2, 4, 4, 1)), jnp.ones((3, 3, 1, 5))
-    >>> convolve(x, kernel, jnp.zeros(5), stride=2, padding=1, activation="relu").shape
-    (2, 2, 2, 5)
+    >>> layers = Convolution(5, stride=2), Convolution(7)
+    >>> weights = (jnp.ones((3, 3, 1, 5)), jnp.zeros(5)), (jnp.ones((3, 3, 5, 7)), jnp.zeros(7))
+    >>> [y.shape for y in convolve(jnp.ones((2, 4, 4, 1)), weights, layers, "relu", (0, 1))]
+    [(2, 2, 2, 5), (2, 2, 2, 7)]
     """
     lowering = convolve_patches if jax.default_backend() == "cpu" else convolve_native
-    return lowering(x, kernel, bias, stride, padding, activation)
+    return lowering(x, weights, layers, activation, wanted)

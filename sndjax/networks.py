@@ -12,18 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
-from sndjax.convolution import ACTIVATIONS, Activation, convolve, to_float
+from sndjax.convolution import ACTIVATIONS, Activation, Convolution, convolve, to_float
 
 ROOT_2 = math.sqrt(2.0)
-
-
-class Convolution(NamedTuple):
-    """One convolutional layer: channels out, kernel side, stride and padding in pixels."""
-
-    channels: int
-    size: int = 3
-    stride: int = 1
-    padding: int = 1
 
 
 class Architecture(NamedTuple):
@@ -88,15 +79,17 @@ class Torso(nn.Module):
             for width in self.hidden:
                 x = ACTIVATIONS[self.activation](linear(width, self.gain)(x))
             return x, x[:, None, None, :]
-        local = x
+        weights, channels = [], x.shape[-1]
         for i, layer in enumerate(self.convolutions):
-            shape = (layer.size, layer.size, x.shape[-1], layer.channels)
+            shape = (layer.size, layer.size, channels, layer.channels)
             kernel = self.param(f"kernel_{i}", nn.initializers.orthogonal(self.gain), shape)
             bias = self.param(f"bias_{i}", nn.initializers.zeros, (layer.channels,))
-            x = convolve(x, kernel, bias, layer.stride, layer.padding, self.activation)
-            if i == 2:
-                local = x
-        return x.reshape(x.shape[0], -1), local
+            weights.append((kernel, bias))
+            channels = layer.channels
+        layers = tuple(self.convolutions)
+        wanted = (min(2, len(layers) - 1), len(layers) - 1)
+        local, last = convolve(x, tuple(weights), layers, self.activation, wanted)
+        return last.reshape(last.shape[0], -1), local
 
 
 class Encoder(nn.Module):

@@ -3,9 +3,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sndjax.convolution import convolve, convolve_native, convolve_patches
+from sndjax.convolution import ACTIVATIONS, Convolution, convolve, convolve_native, convolve_patches
 
-LAYERS = [(3, 2, 1), (3, 1, 1), (8, 4, 2)]  # size, stride, padding
+LAYERS = {
+    "stride 2": (Convolution(4, stride=2),),
+    "stride 1": (Convolution(4),),
+    "RND": (Convolution(4, 8, 4, 2), Convolution(5, stride=2), Convolution(6)),
+    "SND": tuple(Convolution(c, stride=s) for c, s in ((4, 2), (5, 2), (6, 2), (70, 1))),
+}
+# Some of the maps, the first among them or not.
+CASES = [
+    ("stride 2", (0,)),
+    ("stride 1", (0,)),
+    ("RND", (2, 2)),
+    ("RND", (0, 1)),
+    ("SND", (2, 3)),
+    ("SND", (1,)),
+]
 
 
 def brute_force(x, kernel, bias, stride, padding):
@@ -23,63 +37,83 @@ def brute_force(x, kernel, bias, stride, padding):
     return y + np.asarray(bias)
 
 
-def layer(rng, size, batch=5, side=12, channels=3, out=4):
-    return (
-        jnp.asarray(rng.normal(size=(batch, side, side, channels)).astype(np.float32)),
-        jnp.asarray(rng.normal(size=(size, size, channels, out)).astype(np.float32)),
-        jnp.asarray(rng.normal(size=out).astype(np.float32)),
-    )
+def network(rng, layers, batch=5, side=12, channels=3):
+    """Frames and the weights of some layers."""
+    x = jnp.asarray(rng.normal(size=(batch, side, side, channels)).astype(np.float32))
+    weights = []
+    for layer in layers:
+        shape = (layer.size, layer.size, channels, layer.channels)
+        kernel = rng.normal(size=shape) / np.sqrt(layer.size**2 * channels)
+        bias = rng.normal(size=layer.channels)
+        weights.append(tuple(jnp.asarray(w.astype(np.float32)) for w in (kernel, bias)))
+        channels = layer.channels
+    return x, tuple(weights)
 
 
 @pytest.mark.parametrize("lowering", [convolve_patches, convolve_native, convolve])
-@pytest.mark.parametrize(("size", "stride", "padding"), LAYERS)
-def test_value_is_the_brute_force_one(lowering, size, stride, padding):
-    x, kernel, bias = layer(np.random.default_rng(0), size)
-    y = lowering(x, kernel, bias, stride, padding, "none")
-    np.testing.assert_allclose(y, brute_force(x, kernel, bias, stride, padding), atol=1e-4)
+@pytest.mark.parametrize("activation", ["elu", "relu", "none"])
+@pytest.mark.parametrize("layers", LAYERS)
+def test_every_map_is_the_brute_force_one(lowering, activation, layers):
+    x, weights = network(np.random.default_rng(0), LAYERS[layers])
+    wanted = tuple(range(len(weights)))
+    maps = lowering(x, weights, LAYERS[layers], activation, wanted)
+    for y, (kernel, bias), layer in zip(maps, weights, LAYERS[layers], strict=True):
+        x = brute_force(x, kernel, bias, layer.stride, layer.padding)
+        x = np.asarray(ACTIVATIONS[activation](jnp.asarray(x.astype(np.float32))))
+        np.testing.assert_allclose(y, x, atol=1e-4)
 
 
 @pytest.mark.parametrize("activation", ["elu", "relu", "none"])
 @pytest.mark.parametrize("batch", [1, 8, 19])
-@pytest.mark.parametrize(("size", "stride", "padding"), LAYERS)
-def test_patches_equal_native_in_value_and_gradient(activation, batch, size, stride, padding):
+@pytest.mark.parametrize(("layers", "wanted"), CASES)
+def test_patches_equal_native_in_value_and_gradient(activation, batch, layers, wanted):
     rng = np.random.default_rng(batch)
-    args = layer(rng, size, batch)
-    weights = rng.normal(size=convolve_native(*args, stride, padding, "none").shape)
-    weights = weights.astype(np.float32)
+    layers = LAYERS[layers]
+    x, weights = network(rng, layers, batch)
+    maps = convolve_native(x, weights, layers, activation, wanted)
+    signs = [rng.normal(size=y.shape).astype(np.float32) for y in maps]
 
     def value(lowering):
-        return lambda *args: jnp.sum(weights * lowering(*args, stride, padding, activation) ** 2)
+        def total(x, weights):
+            found = lowering(x, weights, layers, activation, wanted)
+            return sum(jnp.sum(s * y**2) for s, y in zip(signs, found, strict=True))
 
-    for one, other in zip(
-        jax.jit(jax.value_and_grad(value(convolve_patches), (0, 1, 2)))(*args)[1],
-        jax.value_and_grad(value(convolve_native), (0, 1, 2))(*args)[1],
-        strict=True,
-    ):
-        scale = np.abs(other).max()
+        return jax.jit(jax.value_and_grad(total, (0, 1)))
+
+    got, wanted_ = (
+        jax.tree.leaves(value(f)(x, weights)) for f in (convolve_patches, convolve_native)
+    )
+    for one, other in zip(got, wanted_, strict=True):
+        scale = np.abs(other).max() + 1e-6
         np.testing.assert_allclose(one / scale, other / scale, atol=2e-5)
 
 
 def test_pixels_are_read_as_fractions_of_255():
     rng = np.random.default_rng(0)
+    layers = LAYERS["SND"]
     pixels = jnp.asarray(rng.integers(0, 256, (9, 12, 12, 3), dtype=np.uint8))
-    _, kernel, bias = layer(rng, 3)
+    _, weights = network(rng, layers)
+    floats = pixels / np.float32(255)
     for lowering in (convolve_patches, convolve_native):
-        gradient = jax.grad(lambda k: jnp.sum(lowering(pixels, k, bias, 2, 1, "elu")))  # noqa: B023
-        as_float = jax.grad(
-            lambda k: jnp.sum(convolve_native(pixels / np.float32(255), k, bias, 2, 1, "elu"))
-        )
-        np.testing.assert_allclose(gradient(kernel), as_float(kernel), rtol=1e-4, atol=1e-4)
+        total = lambda w, x: jnp.sum(lowering(x, w, layers, "elu", (3,))[0])  # noqa: B023
+        for one, other in zip(
+            *(jax.tree.leaves(jax.grad(total)(weights, x)) for x in (pixels, floats)), strict=True
+        ):
+            np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
 
 
 def test_maps_over_seeds_and_runs_in_a_loop():
     rng = np.random.default_rng(0)
-    parts = [layer(rng, 3, batch=11) for _ in range(3)]
-    stacked = [jnp.stack(part) for part in zip(*parts, strict=True)]
-    one = lambda x, k, b: jnp.sum(convolve_patches(x, k, b, 2, 1, "elu") ** 2)
-    mapped = jax.vmap(jax.grad(one, (0, 1, 2)))(*stacked)
+    layers = LAYERS["SND"]
+    parts = [network(rng, layers, batch=11) for _ in range(3)]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *parts)
+    one = lambda x, w: jnp.sum(convolve_patches(x, w, layers, "elu", (2, 3))[1] ** 2)
+    mapped = jax.vmap(jax.grad(one, (0, 1)))(*stacked)
     for i, part in enumerate(parts):
-        for got, wanted in zip(mapped, jax.grad(one, (0, 1, 2))(*part), strict=True):
-            np.testing.assert_allclose(got[i], wanted, rtol=1e-4, atol=1e-3)
-    looped = jax.lax.map(lambda p: one(*p), tuple(stacked))
+        for got, wanted in zip(
+            *(jax.tree.leaves(g) for g in (mapped, jax.grad(one, (0, 1))(*part))), strict=True
+        ):
+            scale = np.abs(wanted).max()
+            np.testing.assert_allclose(got[i] / scale, wanted / scale, atol=2e-5)
+    looped = jax.lax.map(lambda p: one(*p), stacked)
     np.testing.assert_allclose(looped, [one(*part) for part in parts], rtol=1e-5)
