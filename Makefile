@@ -2,12 +2,13 @@
 # make test   the test suite
 # make test-all  every cell of the grid on every kind of input too (an hour)
 # make test-survival  fifty kills, thousands of bad inputs, half an hour of load (an hour)
+# make bench  the benchmark of six algorithms against the committed figures (a quarter of an hour)
 # make check  formatter, linter and type checker
 # make .venv  the environment alone; PYTHON=python3.12 picks another Python
 PYTHON ?= python3
 RUN := .venv/bin/python
 
-.PHONY: .venv demo test test-all test-survival check format
+.PHONY: .venv demo test test-all test-survival bench check format
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
@@ -25,6 +26,9 @@ test-all: .venv/.complete
 
 test-survival: .venv/.complete
 	@$(RUN) -m pytest -m survival -s
+
+bench: .venv/.complete
+	@$(RUN) -m experiments.benches
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

@@ -31,7 +31,7 @@ from experiments.run import refuse
 from experiments.versions import versions
 from sndjax.train import advantages, clean, intrinsic_reward, train_module, train_policy
 
-REPEATS = 3
+REPEATS = 5
 PHASES = ("environment", "acting", "rewards", "policy", "motivation")
 
 
@@ -40,26 +40,21 @@ def say(text: str) -> None:
     print(text, flush=True)
 
 
-def median_seconds(work: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """The median time of some work, after one time that does not count."""
+def best_seconds(work: Callable[[], Any]) -> float:
+    """The shortest of some times, after one that does not count: the least disturbed one."""
     times = []
-    for _ in range(repeats + 1):
+    for _ in range(REPEATS + 1):
         begun = time.perf_counter()
         jax.block_until_ready(work())
         times.append(time.perf_counter() - begun)
-    return float(np.median(times[1:]))
+    return min(times[1:])
 
 
 def matmul_gflops(size: int = 4096) -> float:
-    """10^9 operations per second of a float32 matrix product, the best of some."""
+    """10^9 operations per second of a float32 matrix product."""
     product = jax.jit(partial(jnp.matmul, precision="highest"))
     a = jnp.ones((size, size), jnp.float32)
-    best = 0.0
-    for _ in range(REPEATS + 1):
-        begun = time.perf_counter()
-        product(a, a).block_until_ready()
-        best = max(best, 2 * size**3 / (time.perf_counter() - begun) / 1e9)
-    return best
+    return 2 * size**3 / best_seconds(lambda: product(a, a)) / 1e9
 
 
 def short_length(config: Config) -> int:
@@ -125,8 +120,8 @@ class Bench:
                 decision, kept = self.act(actor, kept, frame, first, np.int32(t))
             return np.asarray(decision.executed)
 
-        found = {"environment": times * median_seconds(stepping)}
-        found["acting"] = times * (1 + 1 / config.rollout_length) * median_seconds(acting)
+        found = {"environment": times * best_seconds(stepping)}
+        found["acting"] = times * (1 + 1 / config.rollout_length) * best_seconds(acting)
         one_epoch = agent._replace(ppo=agent.ppo._replace(epochs=1))
 
         def rewards(state, batch):
@@ -153,7 +148,7 @@ class Bench:
         return found
 
     def repeated(self, phase: Callable[..., Any], name: str) -> float:
-        """The median seconds of a jitted phase; a state that is trained goes on to the next."""
+        """The seconds of a jitted phase; a state that is trained goes on to the next."""
         learns = name != "rewards"
         compiled = jax.jit(phase, donate_argnums=0 if learns else ())
 
@@ -163,7 +158,7 @@ class Bench:
                 self.states = result
             return result
 
-        return median_seconds(work)
+        return best_seconds(work)
 
     def compile_update(self) -> tuple[Any, float]:
         """The whole update, compiled without the cache, and the seconds that takes."""

@@ -22,8 +22,10 @@ INPUTS = {  # network sizes, a frame, frames in a stack, actions
 }
 
 
-def giga_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
-    """10^9 floating-point operations per environment step, acting and learning."""
+def thesis(
+    module: sndjax.IntrinsicModule | None, kind: str
+) -> tuple[sndjax.Agent, sndjax.TrainState, sndjax.Experience]:
+    """An agent at the thesis configuration, and the shapes of its state and its batch."""
     size, shape, stack, actions = INPUTS[kind]
     motivation = sndjax.Motivation(module) if module else None
     agent = sndjax.Agent(
@@ -39,14 +41,22 @@ def giga_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
     rows = (STEPS, ENVS)
     flag, number = of(rows, bool), of(rows, jnp.float32)
     rollout = sndjax.Rollout(frame(STEPS + 1, ENVS), of(rows, jnp.int32), flag, flag, flag)
-    heads = agent.network.value_heads
-    value = of((STEPS + 1, ENVS, heads), jnp.float32)
+    value = of((STEPS + 1, ENVS, agent.network.value_heads), jnp.float32)
     batch = sndjax.Experience(rollout, frame(stack - 1, ENVS), number, flag, number, value)
+    return agent, state, batch
+
+
+def giga_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
+    """10^9 floating-point operations per environment step, acting and learning."""
+    agent, state, batch = thesis(module, kind)
     update = jax.make_jaxpr(sndjax.make_train_step(agent))(state, batch)
-    actor = sndjax.Actor(state.policy, state.observations, key)
+    of: Any = jax.ShapeDtypeStruct
+    actor = sndjax.Actor(state.policy, state.observations, state.key)
+    newest = batch.rollout.frames.shape[1:]
+    window = of((agent.stack.size, *newest), jnp.uint8)
     first, step = of((ENVS,), bool), of((), jnp.int32)
     acting = jax.make_jaxpr(partial(sndjax.act, agent))(
-        actor, frame(stack, ENVS), frame(ENVS), first, step
+        actor, window, of(newest, jnp.uint8), first, step
     )
     count = operations(update.jaxpr) / (STEPS * ENVS) + operations(acting.jaxpr) / ENVS
     return count / 1e9

@@ -14,7 +14,8 @@ import optax
 import pytest
 from builders import KINDS, frames, rollout
 
-from sndjax import ATARI, PROCGEN, VECTOR, Rollout, consecutive, grid, transitions
+from sndjax import ATARI, PROCGEN, VECTOR, Rollout, consecutive, convolution, grid, transitions
+from sndjax.convolution import convolve_patches  # before it is replaced
 from sndjax.grid import COPYING, OBJECTIVES, SIGNALS
 
 # Signals with a loss of their own, and the name of its metric.
@@ -194,6 +195,13 @@ def fell(values, share=1.0):
     return np.median(values[-10:]) < share * np.median(values[:10])
 
 
+@pytest.fixture
+def quick_loops(monkeypatch):
+    """Our convolutions, which in a loop are far faster than the native ones."""
+    monkeypatch.setattr(convolution, "convolve_patches", convolve_patches)
+
+
+@pytest.mark.usefixtures("quick_loops")
 @pytest.mark.parametrize(("objective", "signal", "kind"), parameters([FLAT]))
 def test_each_loss_falls_and_what_was_seen_often_is_less_novel(objective, signal, kind):
     """On a fixed batch: the objective's loss, and the signal's on an encoder that stays.

@@ -1,0 +1,26 @@
+import json
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+LEDGER = json.loads((Path(__file__).parent / "ledger.json").read_text())
+ALWAYS = ("ppo", "snd_std")  # compiling is what it costs
+
+
+@pytest.mark.skipif(LEDGER["jaxlib"] != version("jaxlib"), reason="kept for another jaxlib")
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=() if n in ALWAYS else pytest.mark.exhaustive)
+        for n in LEDGER["algorithms"]
+    ],
+)
+def test_an_update_computes_what_the_ledger_says(name):
+    """`python -m experiments.ledger > tests/experiments/ledger.json` after a change on purpose."""
+    command = [sys.executable, "-m", "experiments.ledger", name]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)["algorithms"][name]
+    assert found == pytest.approx(LEDGER["algorithms"][name], rel=0.03)
