@@ -21,9 +21,9 @@ import numpy as np
 
 import sndjax
 from experiments.agents import build, first_states, make_train_step, over_seeds
-from experiments.collect import Collector
+from experiments.collect import Collector, groups_of
 from experiments.config import load
-from experiments.environments import Pool, make_pool
+from experiments.environments import make_pools
 from experiments.nominal import total
 from experiments.options import Config, ConfigError
 from experiments.process import before_jax, keep_compilations
@@ -81,7 +81,9 @@ class Bench:
     def __init__(self, config: Config):
         """Make everything, and collect one rollout."""
         self.config, seeds = config, config.seeds
-        self.pool: Pool = make_pool(config.env, seeds, config.num_envs)
+        groups = groups_of(config.num_envs)
+        pools = make_pools(config.env, seeds, config.num_envs, groups=groups)
+        self.pool = pools[0]
         self.agent = build(config, self.pool)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
         self.states = first_states(self.agent, seeds, example)
@@ -89,7 +91,7 @@ class Bench:
         self.act = jax.jit(act)
         heads = self.agent.network.value_heads
         stack, length = config.env.stack, config.rollout_length
-        self.collector = Collector(self.pool, self.act, stack, length, heads)
+        self.collector = Collector(pools, self.act, stack, length, heads)
         self.batch, _ = self.collector.collect(self.actor())
 
     def actor(self) -> sndjax.Actor:
@@ -101,25 +103,29 @@ class Bench:
         config, agent = self.config, self.agent
         steps = short_length(config)
         times = config.rollout_length / steps
-        actions = np.random.default_rng(0).integers(
-            0, self.pool.num_actions, (steps, config.num_seeds, config.num_envs), np.int32
-        )
-        window = np.zeros(
-            (config.num_seeds, config.env.stack, config.num_envs, *self.pool.shape), self.pool.dtype
-        )
-        first = np.ones((config.num_seeds, config.num_envs), bool)
-        frame, actor = self.batch.rollout.frames[:, 0], self.actor()
+        groups = self.collector.groups
+        rows = (config.num_seeds, config.num_envs // len(groups))
+        draw = np.random.default_rng(0)
+        actions = draw.integers(0, self.pool.num_actions, (steps, *rows), np.int32)
+        frame, actor = self.pool.reset(), self.actor()
+        window = np.zeros((rows[0], config.env.stack, *frame.shape[1:]), self.pool.dtype)
+        first = np.ones(rows, bool)
 
         def stepping():
             for chosen in actions:
-                self.pool.step(chosen)
+                for group in groups:
+                    group.pool.send(chosen)
+                for group in groups:
+                    group.pool.receive()
 
         def acting():
             kept: Any = window
             for t in range(steps):
-                decision, kept = self.act(actor, kept, frame, first, np.int32(t))
-            return np.asarray(decision.executed)
+                for _ in groups:
+                    decision, kept = self.act(actor, kept, frame, first, np.int32(t))
+                    np.asarray(decision.executed)
 
+        # One after the other; with two pools a run does them at once.
         found = {"environment": times * best_seconds(stepping)}
         found["acting"] = times * (1 + 1 / config.rollout_length) * best_seconds(acting)
         one_epoch = agent._replace(ppo=agent.ppo._replace(epochs=1))
@@ -241,7 +247,7 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
         measured["phases_over_whole"] = gone / (collecting + learning)
     rate = max(rate, matmul_gflops())
     work = nominal(config, bench.agent, bench.pool.shape)
-    bench.pool.close()
+    bench.collector.close()
     return measured | {
         "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
         "matmul_gflops": rate,

@@ -1,13 +1,18 @@
-"""Collecting rollouts: the policy acts, the pool steps, every frame is stored once."""
+"""Collecting rollouts: the policy acts, the pools step, every frame is stored once.
+
+With two pools the environments of one step while the policy acts on the other's.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from experiments.environments import Pool
-from sndjax import Actor, Experience, Rollout
+from experiments.environments import Pool, Step
+from sndjax import Actor, Decision, Experience, Rollout
 
 
 class Track(NamedTuple):
@@ -18,7 +23,7 @@ class Track(NamedTuple):
 
 
 def shapes(pool: Pool, stack: int, steps: int, heads: int) -> Experience:
-    """The shapes and dtypes of the batches of a `Collector`."""
+    """The shapes and dtypes of the batches of a `Collector` of one pool."""
     seeds, envs = pool.rows
     array: Any = lambda dtype, *shape: jax.ShapeDtypeStruct((seeds, *shape), dtype)
     row: Any = lambda dtype: array(dtype, steps, envs)
@@ -34,33 +39,104 @@ def shapes(pool: Pool, stack: int, steps: int, heads: int) -> Experience:
     )
 
 
+def groups_of(num_envs: int) -> int:
+    """Into how many pools the environments go.
+
+    Two where the policy acts on another device than the processor that the environments step
+    on; where both are the same, each only waits for the other.
+    """
+    return 2 if jax.default_backend() != "cpu" and num_envs % 2 == 0 else 1
+
+
+class HostFrames:
+    """A rollout's frames in the memory of the processor, which is where it learns."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: Any):
+        """Frames are [S, T + 1, N, *frame]."""
+        self.all: Any = np.zeros(shape, dtype)
+
+    def put(self, t: int, own: slice, frame: np.ndarray) -> Any:
+        """Keep the frames of step t of some environments; they are what the policy sees."""
+        self.all[:, t, own] = frame
+        return self.all[:, t, own]
+
+    def whole(self) -> Any:
+        """The frames of the rollout. The next one uses their memory again."""
+        return self.all
+
+
+class DeviceFrames:
+    """A rollout's frames where it learns: each is copied there once, to be acted on."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: Any):
+        """Frames are [S, T + 1, N, *frame]."""
+        self.steps: list[list[jax.Array]] = [[] for _ in range(shape[1])]
+
+        def joined(steps):
+            return jnp.stack([jnp.concatenate(groups, axis=1) for groups in steps], axis=1)
+
+        self.joined = jax.jit(joined)
+
+    def put(self, t: int, own: slice, frame: np.ndarray) -> Any:
+        """Keep the frames of step t of some environments; they are what the policy sees."""
+        if own.start == 0:
+            self.steps[t] = []
+        self.steps[t].append(jax.device_put(frame))
+        return self.steps[t][-1]
+
+    def whole(self) -> Any:
+        """The frames of the rollout."""
+        return self.joined(self.steps)
+
+
+@dataclass
+class Group:
+    """One pool, and what its environments stand at."""
+
+    pool: Pool
+    own: slice  # its environments among all
+    frame: Any  # [S, n, *frame]
+    first: np.ndarray  # [S, n]
+    window: Any  # [S, stack, n, *frame], the stack before this frame
+
+
 class Collector:
-    """The pool with the stack and the frame that each environment stands at.
+    """The pools with the stack and the frame that each environment stands at.
 
     Its buffers are used again by the next rollout: a batch must have been learned from
     before the next is collected.
     """
 
-    def __init__(self, pool: Pool, act: Callable[..., Any], stack: int, steps: int, heads: int):
-        """Reset the pool.
+    def __init__(
+        self, pools: list[Pool], act: Callable[..., Any], stack: int, steps: int, heads: int
+    ):
+        """Reset the pools.
 
         Args:
-          pool: the environments of all seeds.
+          pools: the environments of all seeds, in groups of the same size.
           act: `sndjax.act` of the agent, mapped over seeds.
           stack: frames in a stack.
           steps: T, rows of a rollout.
           heads: K, value heads.
         """
-        seeds, envs = pool.rows
-        self.pool, self.act, self.steps = pool, act, steps
-        self.frames: Any = np.zeros((seeds, steps + 1, envs, *pool.shape), pool.dtype)
-        self.frames[:, steps] = pool.reset()
-        self.first = np.ones((seeds, envs), bool)
-        self.window: jax.Array | np.ndarray = np.zeros(
-            (seeds, stack, envs, *pool.shape), pool.dtype
-        )
+        pool = pools[0]
+        seeds, size = pool.rows
+        envs = size * len(pools)
+        self.act, self.steps = act, steps
+        kind = HostFrames if jax.default_backend() == "cpu" and len(pools) == 1 else DeviceFrames
+        self.frames = kind((seeds, steps + 1, envs, *pool.shape), pool.dtype)
+        self.groups = [
+            Group(
+                pool,
+                slice(k * size, (k + 1) * size),
+                pool.reset(),
+                np.ones((seeds, size), bool),
+                np.zeros((seeds, stack, size, *pool.shape), pool.dtype),
+            )
+            for k, pool in enumerate(pools)
+        ]
         rows = (seeds, steps, envs)
-        self.columns = {
+        self.columns: Any = {
             "action": np.zeros(rows, np.int32),
             "first": np.zeros(rows, bool),
             "done": np.zeros(rows, bool),
@@ -72,6 +148,33 @@ class Collector:
         }
         self.value: Any = np.zeros((seeds, steps + 1, envs, heads), np.float32)
         self.room: Any = np.zeros(rows, np.uint8) if pool.rooms else None
+
+    def decide(self, k: int, actor: Actor, t: int) -> tuple[Decision, Any]:
+        """What the policies do in one group at step t, and the stacks with its frame."""
+        group = self.groups[k]
+        group.frame = self.frames.put(t, group.own, group.frame)
+        draw = np.int32(t * len(self.groups) + k)
+        decision, window = self.act(actor, group.window, group.frame, group.first, draw)
+        self.value[:, t, group.own] = decision.value
+        return decision, window
+
+    def begin(self, group: Group, t: int, decision: Decision, window: Any) -> None:
+        """Let the environments of a group take step t."""
+        group.pool.send(np.asarray(decision.executed))
+        group.window = window
+        columns = self.columns
+        columns["action"][:, t, group.own] = decision.action
+        columns["log_prob"][:, t, group.own] = decision.log_prob
+        columns["first"][:, t, group.own] = group.first
+
+    def end(self, group: Group, t: int) -> None:
+        """Wait for them, and store what step t returned."""
+        step: Step = group.pool.receive()
+        for name in ("done", "valid", "reward", "truncated", "score"):
+            self.columns[name][:, t, group.own] = getattr(step, name)
+        if self.room is not None:
+            self.room[:, t, group.own] = step.room
+        group.frame, group.first = step.frame, ~step.valid
 
     def collect(
         self, actor: Actor, report: Callable[[int], None] = lambda step: None
@@ -85,31 +188,29 @@ class Collector:
         Returns:
           The batch for `train_step`, leaves [S, ...], and what the log needs.
         """
-        c: Any = self.columns
-        self.frames[:, 0] = self.frames[:, self.steps]
-        history: Any = None
+        histories = []
         for t in range(self.steps):
-            decision, self.window = self.act(
-                actor, self.window, self.frames[:, t], self.first, np.int32(t)
-            )
-            if history is None:
-                history = self.window[:, :-1]
-            step = self.pool.step(np.asarray(decision.executed))
-            self.frames[:, t + 1] = step.frame
-            c["action"][:, t] = decision.action
-            c["log_prob"][:, t] = decision.log_prob
-            self.value[:, t] = decision.value
-            c["first"][:, t] = self.first
-            for name in ("done", "valid", "reward", "truncated", "score"):
-                c[name][:, t] = getattr(step, name)
-            if self.room is not None:
-                self.room[:, t] = step.room
-            self.first = ~step.valid
-            report(t + 1)
-        last, _ = self.act(
-            actor, self.window, self.frames[:, self.steps], self.first, np.int32(self.steps)
-        )
-        self.value[:, self.steps] = last.value
-        rollout = Rollout(self.frames, c["action"], c["first"], c["done"], c["valid"])
+            for k, group in enumerate(self.groups):
+                if t > 0:
+                    self.end(group, t - 1)
+                decision, window = self.decide(k, actor, t)
+                self.begin(group, t, decision, window)
+                if t == 0:
+                    histories.append(window[:, :-1])
+            if t > 0:
+                report(t)
+        for k, group in enumerate(self.groups):
+            self.end(group, self.steps - 1)
+            self.decide(k, actor, self.steps)  # for its value
+        report(self.steps)
+        history = histories[0] if len(histories) == 1 else jnp.concatenate(histories, axis=2)
+        c = self.columns
+        frames = self.frames.whole()
+        rollout = Rollout(frames, c["action"], c["first"], c["done"], c["valid"])
         batch = Experience(rollout, history, c["reward"], c["truncated"], c["log_prob"], self.value)
         return batch, Track(c["score"], self.room)
+
+    def close(self) -> None:
+        """Stop the environments."""
+        for group in self.groups:
+            group.pool.close()

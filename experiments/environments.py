@@ -158,9 +158,18 @@ class Pool:
         """The first frame of every environment, [S, N, *frame]."""
         raise NotImplementedError
 
+    def send(self, action: np.ndarray) -> None:
+        """Begin to step every environment with its action, int [S, N]."""
+        raise NotImplementedError
+
+    def receive(self) -> Step:
+        """What the step that was begun returned, when it is over."""
+        raise NotImplementedError
+
     def step(self, action: np.ndarray) -> Step:
         """Step every environment with its action, int [S, N]."""
-        raise NotImplementedError
+        self.send(action)
+        return self.receive()
 
     def close(self) -> None:
         """Stop the environments."""
@@ -170,21 +179,21 @@ class Pool:
 class EnvpoolPool(Pool):
     """Environments of envpool, in its own threads."""
 
-    def __init__(self, config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0):
+    def __init__(self, config: EnvConfig, seeds: list[list[int]]):
         family_of(config.id)
         try:
             self.envs = envpool.make(
                 config.id,
                 env_type="gymnasium",
-                num_envs=len(seeds) * num_envs,
-                seed=[s for seed in seeds for s in seeds_of(seed, num_envs, start)],
+                num_envs=len(seeds) * len(seeds[0]),
+                seed=[seed for own in seeds for seed in own],
                 **config.options,
             )
         except Exception as error:  # envpool raises many kinds; all are about its input
             message = str(error).strip().splitlines() or [repr(error)]
             raise ConfigError(f"envpool cannot make {config.id}: {message[0]}") from None
         space, actions = self.envs.observation_space, self.envs.action_space
-        super().__init__(config, len(seeds), num_envs, space, actions)
+        super().__init__(config, len(seeds), len(seeds[0]), space, actions)
         self.rooms = config.id.startswith("MontezumaRevenge")
 
     def reset(self) -> np.ndarray:
@@ -194,10 +203,11 @@ class EnvpoolPool(Pool):
             raise ConfigError(f"{self.config.id} has several players; only one can be trained")
         return self.split(frame)
 
-    def step(self, action: np.ndarray) -> Step:
-        observation, reward, terminated, truncated, info = self.envs.step(
-            np.asarray(action, np.int32).reshape(-1)
-        )
+    def send(self, action: np.ndarray) -> None:
+        self.envs.send(np.asarray(action, np.int32).reshape(-1))
+
+    def receive(self) -> Step:
+        observation, reward, terminated, truncated, info = self.envs.recv()
         room = info["ram"][:, MONTEZUMA_ROOM] if self.rooms else None
         score, valid = info.get("reward", reward), info["elapsed_step"] != 0
         return self.step_of(observation, reward, score, terminated, truncated, valid, room)
@@ -209,8 +219,8 @@ class EnvpoolPool(Pool):
 class GymnasiumPool(Pool):
     """Environments of `gymnasium.make_vec`, the user's own among them."""
 
-    def __init__(self, config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0):
-        count = len(seeds) * num_envs
+    def __init__(self, config: EnvConfig, seeds: list[list[int]]):
+        count = len(seeds) * len(seeds[0])
         if "" not in sys.path:
             sys.path.insert(0, "")  # env.id=my_file:MyTask-v0 is looked for here first
         try:
@@ -229,9 +239,9 @@ class GymnasiumPool(Pool):
                 "episode's last observation"
             )
         space, actions = self.envs.single_observation_space, self.envs.single_action_space
-        super().__init__(config, len(seeds), num_envs, space, actions)
+        super().__init__(config, len(seeds), len(seeds[0]), space, actions)
         self.first_action = int(getattr(actions, "start", 0))
-        self.seeds = [s for seed in seeds for s in seeds_of(seed, num_envs, start)]
+        self.seeds = [seed for own in seeds for seed in own]
         self.ended = np.zeros(count, bool)
 
     def reset(self) -> np.ndarray:
@@ -239,9 +249,11 @@ class GymnasiumPool(Pool):
         self.ended[:] = False
         return self.split(self.reader.read(observation))
 
-    def step(self, action: np.ndarray) -> Step:
-        action = np.asarray(action, np.int64).reshape(-1) + self.first_action
-        observation, reward, terminated, truncated, _ = self.envs.step(action)
+    def send(self, action: np.ndarray) -> None:
+        self.action = np.asarray(action, np.int64).reshape(-1) + self.first_action
+
+    def receive(self) -> Step:
+        observation, reward, terminated, truncated, _ = self.envs.step(self.action)
         valid, self.ended = ~self.ended, terminated | truncated
         return self.step_of(observation, reward, reward, terminated, truncated, valid)
 
@@ -249,17 +261,30 @@ class GymnasiumPool(Pool):
         self.envs.close()
 
 
-def make_pool(config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0) -> Pool:
-    """The environments of a configuration.
+def make_pools(
+    config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0, groups: int = 1
+) -> list[Pool]:
+    """The environments of a configuration, in groups that step apart from each other.
 
     Args:
       config: the task and how it is read.
       seeds: one per agent.
       num_envs: environments of each.
       start: the iteration the run starts at.
+      groups: in how many pools; the streams of the environments do not depend on it.
 
     Raises:
       ConfigError: this task cannot be made with these options, or not be trained on.
     """
     kind = EnvpoolPool if config.suite == "envpool" else GymnasiumPool
-    return kind(config, seeds, num_envs, start)
+    streams = [seeds_of(seed, num_envs, start) for seed in seeds]
+    size = num_envs // groups
+    return [
+        kind(config, [own[k * size : (k + 1) * size] for own in streams]) for k in range(groups)
+    ]
+
+
+def make_pool(config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0) -> Pool:
+    """All of them in one group. See `make_pools`."""
+    (pool,) = make_pools(config, seeds, num_envs, start)
+    return pool

@@ -34,7 +34,7 @@ def rollout_of(config: Any) -> tuple[sndjax.Agent, sndjax.TrainState, sndjax.Exp
     states = first_states(agent, [config.seed], example)
     act = jax.jit(over_seeds(partial(sndjax.act, agent), 1, shared=1))
     heads = agent.network.value_heads
-    collector = Collector(pool, act, config.env.stack, config.rollout_length, heads)
+    collector = Collector([pool], act, config.env.stack, config.rollout_length, heads)
     batch, _ = collector.collect(sndjax.Actor(states.policy, states.observations, states.key))
     state, batch = jax.tree.map(
         lambda x: jnp.asarray(x[0]) if isinstance(x, np.ndarray) else x[0], (states, batch)

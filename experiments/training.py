@@ -12,9 +12,9 @@ import numpy as np
 import sndjax
 from experiments.agents import build, first_states, make_train_step, over_seeds
 from experiments.checkpoint import Checkpoints, Damaged
-from experiments.collect import Collector, Track
+from experiments.collect import Collector, Track, groups_of
 from experiments.directory import Directory
-from experiments.environments import make_pool
+from experiments.environments import make_pools
 from experiments.episodes import Episodes
 from experiments.estimate import seconds
 from experiments.interrupts import Interrupted, Interrupts
@@ -45,7 +45,10 @@ class Run:
         self.manifest: dict[str, Any] = {}  # of the checkpoint that the run goes on from
         self.said: list[str] = []  # before there was a display
         found = self.find_checkpoint() if directory.resumed else None
-        self.pool = make_pool(config.env, self.seeds, config.num_envs, self.done)
+        pools = make_pools(
+            config.env, self.seeds, config.num_envs, self.done, groups_of(config.num_envs)
+        )
+        self.pool = pools[0]
         self.agent = build(config, self.pool)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
         self.fresh = lambda: first_states(self.agent, self.seeds, example)
@@ -55,7 +58,7 @@ class Run:
             raise ConfigError(f"algo={config.algo.name}: {error}") from None
         act = jax.jit(over_seeds(partial(sndjax.act, self.agent), config.num_seeds, shared=1))
         heads = self.agent.network.value_heads
-        self.collector = Collector(self.pool, act, config.env.stack, config.rollout_length, heads)
+        self.collector = Collector(pools, act, config.env.stack, config.rollout_length, heads)
         self.train_step = jax.jit(make_train_step(self.agent, config), donate_argnums=0)
         self.update: Any = None  # the compiled train_step
         self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
@@ -114,7 +117,7 @@ class Run:
             self.progress.close()
             self.checkpoints.join()
             self.records.close()
-            self.pool.close()
+            self.collector.close()
 
     def announcements(self) -> Iterator[str]:
         """What there is to know before the first iteration."""

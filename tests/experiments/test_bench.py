@@ -6,7 +6,8 @@ import pytest
 
 from experiments import bench
 
-SMALL = ["num_envs=8", "rollout_length=16", "ppo.minibatch_size=32", "algo.minibatch_size=32"]
+SMALL = ["num_envs=8", "rollout_length=16", "ppo.minibatch_size=32"]
+MODULE = "algo.minibatch_size=32"
 
 
 @pytest.fixture
@@ -15,7 +16,9 @@ def quick(monkeypatch):
     monkeypatch.setattr(bench, "matmul_gflops", lambda: 100.0)
 
 
-@pytest.mark.parametrize("command", [["algo=ppo"], ["algo=snd_vic", "num_seeds=2", "--whole"]])
+@pytest.mark.parametrize(
+    "command", [["algo=ppo"], ["algo=snd_vic", MODULE, "num_seeds=2", "--whole"]]
+)
 def test_the_last_line_is_the_figures_and_they_agree(command, quick, capfd):
     assert bench.main(["env=MountainCar", *SMALL, *command]) == 0
     lines = capfd.readouterr().out.splitlines()
@@ -39,7 +42,7 @@ def test_the_last_line_is_the_figures_and_they_agree(command, quick, capfd):
 
 def test_a_cell_without_nominal_work_says_so(quick, capfd):
     command = ["env=MountainCar", "algo=grid", "algo.objective=vicreg", "algo.signal=re3"]
-    assert bench.main([*command, *SMALL]) == 0
+    assert bench.main([*command, *SMALL, MODULE]) == 0
     found = json.loads(capfd.readouterr().out.splitlines()[-1])
     assert found["nominal_gflop_per_step"] is None
     assert found["share_of_peak"] is None

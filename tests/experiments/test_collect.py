@@ -5,28 +5,33 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import sndjax
 from experiments.agents import build, first_states, over_seeds
 from experiments.collect import Collector
 from experiments.config import load
-from experiments.environments import make_pool
+from experiments.environments import make_pool, make_pools
 from sndjax.rollout import stacker
 
 
-def test_a_rollout_holds_what_the_environments_returned_and_the_policy_said():
+@pytest.mark.parametrize("groups", [1, 2])
+def test_a_rollout_holds_what_the_environments_returned_and_the_policy_said(groups):
     config = load(
         ["env=Venture", "algo=rnd", "num_seeds=2", "env.options.max_episode_steps=6",
          "num_envs=4", "rollout_length=16", "ppo.minibatch_size=64", "algo.minibatch_size=64"]
     )  # fmt: skip
-    pool, plain = (make_pool(config.env, [0, 1], 4) for _ in range(2))
+    pools, plain = (
+        make_pools(config.env, [0, 1], 4, groups=groups),
+        make_pool(config.env, [0, 1], 4),
+    )
     size = sndjax.ATARI._replace(channels=(4, 4, 4), last=4, rnd_channels=(4, 4, 4), features=8)
-    agent = build(config, pool)._replace(network=sndjax.ActorCritic(size, 18))
+    agent = build(config, pools[0])._replace(network=sndjax.ActorCritic(size, 18))
     example = jnp.zeros((4, 96, 96, 1), jnp.uint8)
     state = first_states(agent, [0, 1], example)
     actor = sndjax.Actor(state.policy, state.observations, state.key)
     act = jax.jit(over_seeds(functools.partial(sndjax.act, agent), 2, shared=1))
-    collector = Collector(pool, act, 4, 16, 2)
+    collector = Collector(pools, act, 4, 16, 2)
     frame = plain.reset()
     first = np.ones((2, 4), bool)
     for _ in range(2):  # the second rollout begins where the first ended

@@ -81,7 +81,7 @@ checkpoints = Checkpoints(place)
 if part == "whole":
     state = fresh()
     act = jax.jit(over_seeds(partial(sndjax.act, agent), 2, shared=1))
-    collector = Collector(pool, act, 1, 32, 2)
+    collector = Collector([pool], act, 1, 32, 2)
     batches = []
     for i in range(3):
         actor = sndjax.Actor(state.policy, state.observations, state.key)
