@@ -192,7 +192,8 @@ def write(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
             settle(place)
         remove(path)  # of the same iteration, damaged
         new.rename(path)
-        settle(path.parent)
+        for place in (path.parent, path.parent.parent):  # whose names are on the disk with it
+            settle(place)
     except BaseException:
         remove(new)
         raise

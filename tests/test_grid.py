@@ -161,10 +161,12 @@ def test_a_cell(objective, signal, kind):
 SLOW = ("disagreement", "prediction")
 
 
-def learner(made, signal):
+def learner(made, objective, signal):
     """A function that trains the parts that it is told, at their rates, on some rows."""
     vector = made.rows.frame.ndim == 2
-    steps = 150 if vector else 200 if signal in SLOW else 40
+    # SND-V's few pairs make its loss rise before it falls: 0.14, 0.24, 0.03, 0.002 every 30 steps.
+    patient = signal in SLOW or objective == "contrastive"
+    steps = 150 if vector else 200 if patient else 40
     adam = optax.adam(1.0)
     # The first ten steps and the last ten meet the same draws.
     keys = jax.random.split(jax.random.key(3), 10)[np.arange(steps) % 10]
@@ -209,7 +211,7 @@ def test_each_loss_falls_and_what_was_seen_often_is_less_novel(objective, signal
     Then a thousand looks at one state, and one state among them that was never seen.
     """
     made = case(objective, signal, kind)
-    learn = learner(made, signal)
+    learn = learner(made, objective, signal)
     if objective != "none":
         assert fell(learn(made.rows, "encoder", "objective")[1]["objective_loss"])
     if signal in TRAINED:
