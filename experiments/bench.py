@@ -18,6 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
 
 import sndjax
 from experiments.agents import build, first_states, make_train_step, over_seeds
@@ -32,6 +33,7 @@ from experiments.versions import versions
 from sndjax.train import advantages, clean, intrinsic_reward, train_module, train_policy
 
 REPEATS = 5
+SIZE = 4096  # of the matrix product
 PHASES = ("environment", "acting", "rewards", "policy", "motivation")
 
 
@@ -40,21 +42,35 @@ def say(text: str) -> None:
     print(text, flush=True)
 
 
-def best_seconds(work: Callable[[], Any]) -> float:
-    """The shortest of some times, after one that does not count: the least disturbed one."""
-    times = []
-    for _ in range(REPEATS + 1):
+class Clock:
+    """Times some work, and a matrix product beside it: a shared machine is not always as fast."""
+
+    def __init__(self) -> None:
+        """Nothing was timed yet."""
+        self.product = jax.jit(partial(jnp.matmul, precision="highest"))
+        self.products: list[float] = []  # seconds
+
+    def time_product(self) -> None:
+        """Time a float32 matrix product of 4096 x 4096 x 4096."""
+        a = jnp.ones((SIZE, SIZE), jnp.float32)
         begun = time.perf_counter()
+        self.product(a, a).block_until_ready()
+        self.products.append(time.perf_counter() - begun)
+
+    def gflops(self) -> float:
+        """10^9 operations per second of the product, the median."""
+        return 2 * SIZE**3 / float(np.median(self.products)) / 1e9
+
+    def seconds(self, work: Callable[[], Any]) -> float:
+        """The median time of the work, after one that does not count; a product before each."""
         jax.block_until_ready(work())
-        times.append(time.perf_counter() - begun)
-    return min(times[1:])
-
-
-def matmul_gflops(size: int = 4096) -> float:
-    """10^9 operations per second of a float32 matrix product."""
-    product = jax.jit(partial(jnp.matmul, precision="highest"))
-    a = jnp.ones((size, size), jnp.float32)
-    return 2 * size**3 / best_seconds(lambda: product(a, a)) / 1e9
+        times = []
+        for _ in range(REPEATS):
+            self.time_product()
+            begun = time.perf_counter()
+            jax.block_until_ready(work())
+            times.append(time.perf_counter() - begun)
+        return float(np.median(times))
 
 
 def short_length(config: Config) -> int:
@@ -80,6 +96,9 @@ class Bench:
 
     def __init__(self, config: Config):
         """Make everything, and collect one rollout."""
+        self.clock = Clock()
+        self.clock.time_product()  # compiled here, and not counted
+        self.clock.products.clear()
         self.config, seeds = config, config.seeds
         groups = groups_of(config.num_envs)
         pools = make_pools(config.env, seeds, config.num_envs, groups=groups)
@@ -126,8 +145,8 @@ class Bench:
                     np.asarray(decision.executed)
 
         # One after the other; with two pools a run does them at once.
-        found = {"environment": times * best_seconds(stepping)}
-        found["acting"] = times * (1 + 1 / config.rollout_length) * best_seconds(acting)
+        found = {"environment": times * self.clock.seconds(stepping)}
+        found["acting"] = times * (1 + 1 / config.rollout_length) * self.clock.seconds(acting)
         one_epoch = agent._replace(ppo=agent.ppo._replace(epochs=1))
 
         def rewards(state, batch):
@@ -164,17 +183,19 @@ class Bench:
                 self.states = result
             return result
 
-        return best_seconds(work)
+        return self.clock.seconds(work)
 
-    def compile_update(self) -> tuple[Any, float]:
-        """The whole update, compiled without the cache, and the seconds that takes."""
-        jax.config.update("jax_enable_compilation_cache", False)
-        begun = time.perf_counter()
+    def compile_update(self) -> tuple[Any, float, float]:
+        """The whole update, and the seconds that compiling it takes without the cache and with."""
         step = jax.jit(make_train_step(self.agent, self.config), donate_argnums=0)
-        compiled = step.lower(self.states, self.batch).compile()
-        gone = time.perf_counter() - begun
-        jax.config.update("jax_enable_compilation_cache", True)
-        return compiled, gone
+        gone = []
+        for cached in (False, True, True):  # the first with the cache may have to fill it
+            jax.config.update("jax_enable_compilation_cache", cached)
+            compilation_cache.reset_cache()  # jax asks once whether there is one
+            begun = time.perf_counter()
+            compiled = step.lower(self.states, self.batch).compile()
+            gone.append(time.perf_counter() - begun)
+        return compiled, gone[0], gone[2]
 
     def whole_seconds(self, update: Any) -> tuple[float, float]:
         """Collecting and learning of one real iteration, after one that does not count."""
@@ -221,16 +242,16 @@ def processor() -> str:
 def measure(config: Config, whole: bool) -> dict[str, Any]:
     """Everything that is printed."""
     say(f"{config.env.name} {config.algo.name}: matrix product, environments, a rollout")
-    rate = matmul_gflops()
     bench = Bench(config)
     phases = bench.phase_seconds()
-    say("compiling the whole update, without the cache")
-    update, compile_seconds = bench.compile_update()
+    say("compiling the whole update, without the cache and with")
+    update, compile_seconds, cached_seconds = bench.compile_update()
     steps = config.rows * config.num_seeds
     gone = sum(phases.values())
     measured: dict[str, Any] = {
         "env": config.env.name,
         "algo": config.algo.name,
+        "platform": jax.default_backend(),
         "device": processor(),
         "num_seeds": config.num_seeds,
         "num_envs": config.num_envs,
@@ -238,6 +259,7 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
         "steps_per_second": steps / gone,
         "seconds_per_1000_steps": {n: 1000 * phases[n] / steps for n in PHASES},
         "compile_seconds": compile_seconds,
+        "compile_seconds_cached": cached_seconds,
     }
     if whole:
         say(f"timing two whole iterations, about {gone:.0f} s each")
@@ -245,8 +267,7 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
         measured["whole_steps_per_second"] = steps / (collecting + learning)
         measured["whole_collecting_share"] = collecting / (collecting + learning)
         measured["phases_over_whole"] = gone / (collecting + learning)
-    rate = max(rate, matmul_gflops())
-    work = nominal(config, bench.agent, bench.pool.shape)
+    rate, work = bench.clock.gflops(), nominal(config, bench.agent, bench.pool.shape)
     bench.collector.close()
     return measured | {
         "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
@@ -268,7 +289,8 @@ def table(measured: dict[str, Any]) -> str:
     share = measured["share_of_peak"]
     lines += [
         f"{measured['steps_per_second']:,.1f} steps/s on {measured['device']}",
-        f"compiling the update {measured['compile_seconds']:.0f} s, peak memory "
+        f"compiling the update {measured['compile_seconds']:.0f} s, from the cache "
+        f"{measured['compile_seconds_cached']:.1f} s, peak memory "
         f"{measured['peak_rss_mb']:,.0f} MB",
         f"matrix product {measured['matmul_gflops']:.0f} GFLOP/s"
         + (
