@@ -1,4 +1,4 @@
-"""python -m experiments.benches [--write]: the benchmark of every algorithm that has figures.
+"""python -m experiments.benches [NAME ...] [--write]: the benchmark of each algorithm.
 
 Runs `experiments.bench env=Venture` for each in a process of its own (where there is a GPU also
 with four seeds at once) and prints its figures as ratios to those in docs/results/, in
@@ -31,12 +31,16 @@ def figures(platform: str) -> Path:
 
 def main(arguments: list[str]) -> int:
     """Print a line a benchmark."""
+    names = [argument for argument in arguments if argument != "--write"] or ALGORITHMS
+    if unknown := set(names) - set(ALGORITHMS):
+        print(f"sndjax: no figures of {', '.join(unknown)}; there is {', '.join(ALGORITHMS)}")
+        return 2
     print(
         f"{'':<20}{'steps/s':>9}{'share of peak':>15}{'to before':>11}{'peak MB':>9}"
         f"{'compile s':>11}",
         flush=True,
     )
-    left: list[tuple[str, ...]] = [(f"algo={name}",) for name in ALGORITHMS]
+    left: list[tuple[str, ...]] = [(f"algo={name}",) for name in names]
     before: dict[str, Any] = {}
     after: dict[str, Any] = {}
     while left:
@@ -57,7 +61,7 @@ def main(arguments: list[str]) -> int:
             flush=True,
         )
     if "--write" in arguments:
-        path.write_text(json.dumps(after, indent=1) + "\n")
+        path.write_text(json.dumps(before | after, indent=1) + "\n")
     return 0
 
 
