@@ -1,6 +1,6 @@
 """Checkpoints: written while training goes on, whole or not at all, verified before they are read.
 
-checkpoints/<iteration>/arrays.npz     every array by its path in the state; `np.load` reads them
+checkpoints/<iteration>/arrays.npz     every array by its path in the state; `numpy.load` reads it
 checkpoints/<iteration>/manifest.json  its digest, and where the logs stood
 """
 

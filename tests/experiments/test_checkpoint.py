@@ -106,6 +106,27 @@ def test_what_is_beyond_the_one_that_was_gone_on_from_is_removed(state, tmp_path
     assert checkpoints.steps() == [10, 15]
 
 
+class Bomb:
+    """Would leave a file behind if it were unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+def test_arrays_that_would_execute_something_are_refused(state, tmp_path, monkeypatch):
+    """However well its manifest is made."""
+    saved(tmp_path, state, [1])
+    path, trace = tmp_path / "checkpoints" / "1", tmp_path / "trace"
+    np.savez(path / "arrays.npz", **{"policy": np.array([Bomb(trace)], dtype=object)})
+    monkeypatch.setattr(checkpoint, "verified", lambda path: {})
+    with pytest.raises(Damaged, match="allow_pickle=False"):
+        checkpoint.read(path, jax.eval_shape(lambda: raw(state)))
+    assert not trace.exists()
+
+
 def test_numpy_alone_reads_what_was_written(state, tmp_path):
     saved(tmp_path, state, [1])
     archive = np.load(tmp_path / "checkpoints" / "1" / "arrays.npz")

@@ -252,6 +252,8 @@ def test_a_directory_from_elsewhere_executes_nothing():
     readers = re.compile(r"pickle|\beval\(|\bexec\(|yaml\.(load|unsafe)|np\.load")
     root = validate.CONF.parents[1]
     files = [*(root / "sndjax").rglob("*.py"), *(root / "experiments").rglob("*.py")]
-    found = [f.name for f in files for line in f.read_text().splitlines() if readers.search(line)]
+    lines = [(f.name, line) for f in files for line in f.read_text().splitlines()]
+    refused = "allow_pickle=False"  # of numpy: plain numbers or an error
+    found = [name for name, line in lines if refused not in line and readers.search(line)]
     assert len(files) > 40
     assert found == ["stored.py"]  # with the loader that makes plain data only
