@@ -17,7 +17,6 @@ from jax import lax
 from jaxtyping import Array, Float, Shaped
 
 SLICE = 8  # images that are in the cache at once
-WIDE = 64  # more weights than this per output
 
 
 class Convolution(NamedTuple):
@@ -140,7 +139,8 @@ def sliced_backward(layers, activation, wanted, kept, gradients):
             gradient = sum(own, gradient) * SLOPES[activation](maps[i + 1])
             flat = gradient.reshape(-1, layers[i].channels)
             seen = gathered[i] if i < again else patches(maps[i], layers[i])
-            found.append((transposed(seen) @ flat, jnp.sum(flat, axis=0)))
+            columns = seen.reshape(-1, kernel.shape[0]).T
+            found.append((columns @ flat, jnp.sum(flat, axis=0)))
             if i or not pixels:
                 back = (flat @ kernel.T).reshape(seen.shape)
                 spread = jax.linear_transpose(partial(patches, layer=layers[i]), maps[i])
@@ -153,16 +153,6 @@ def sliced_backward(layers, activation, wanted, kept, gradients):
     d_x = np.zeros(x.shape, jax.dtypes.float0) if pixels else whole(d_x)
     shaped = [(k.reshape(w.shape), b) for (k, b), (w, _) in zip(total, weights, strict=True)]
     return d_x, tuple(shaped)
-
-
-def transposed(neighbourhoods: Float[Array, "B I J K"]) -> Float[Array, "K M"]:
-    """One column per position.
-
-    Many weights take their gradient faster from patches that lie transposed in memory than
-    from a product that reads them across; of few they do not.
-    """
-    columns = neighbourhoods.reshape(-1, neighbourhoods.shape[-1]).T
-    return lax.optimization_barrier(columns) if columns.shape[0] > WIDE else columns
 
 
 sliced.defvjp(sliced_forward, sliced_backward)

@@ -1,20 +1,11 @@
 import pytest
 
 import sndjax
+from experiments.config import load
 from experiments.cost import ENVS, giga_per_step
 from experiments.nominal import encoder, total
 from sndjax.algorithms import NAMED
 from sndjax.grid import OBJECTIVES, networks
-
-CELLS = {
-    "ppo": (None, "distillation"),
-    "rnd": ("none", "distillation"),
-    "snd_v": ("contrastive", "distillation"),
-    "snd_vic": ("vicreg", "distillation"),
-    "snd_std": ("st_dim", "distillation"),
-    "icm": ("inverse_dynamics", "prediction"),
-    "sp": ("st_dim", "prediction"),
-}
 
 
 def shared(objective, signal):
@@ -28,10 +19,10 @@ def shared(objective, signal):
     )
 
 
-@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.parametrize("name", ["ppo", "rnd", "snd_v", "snd_vic", "snd_std", "icm", "sp"])
 def test_the_counted_work_is_the_nominal_work_less_what_is_shared(name):
-    objective, signal = CELLS[name]
-    make = NAMED[name]
+    make, algo = NAMED[name], load(["env=Venture", f"algo={name}"]).algo
+    objective, signal = algo.objective if make else None, algo.signal
     module = make(18, sndjax.ATARI) if make else None
     wanted = total(objective, signal, sndjax.ATARI, (96, 96, 1), 4, 18)
     if shared(objective, signal):
