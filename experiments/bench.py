@@ -32,7 +32,8 @@ from experiments.run import refuse
 from experiments.versions import versions
 from sndjax.train import advantages, clean, intrinsic_reward, train_module, train_policy
 
-REPEATS = 5
+REPEATS = 4
+MINIBATCHES = 4  # that a phase is timed on: a call's start costs a tenth of one
 SIZE = 4096  # of the matrix product
 PHASES = ("environment", "acting", "rewards", "policy", "motivation")
 
@@ -74,11 +75,11 @@ class Clock:
 
 
 def short_length(config: Config) -> int:
-    """Steps of the rollout that phases are timed on: the fewest that give two whole minibatches."""
+    """Steps of the rollout that phases are timed on: the fewest that give `MINIBATCHES` of each."""
     sizes = (config.ppo.minibatch_size, config.algo.minibatch_size)
     for steps in range(1, config.rollout_length + 1):
         rows = steps * config.num_envs
-        if rows >= 2 * max(sizes) and not any(rows % size for size in sizes):
+        if rows >= MINIBATCHES * max(sizes) and not any(rows % size for size in sizes):
             return steps
     return config.rollout_length
 
@@ -147,7 +148,8 @@ class Bench:
         # One after the other; with two pools a run does them at once.
         found = {"environment": times * self.clock.seconds(stepping)}
         found["acting"] = times * (1 + 1 / config.rollout_length) * self.clock.seconds(acting)
-        one_epoch = agent._replace(ppo=agent.ppo._replace(epochs=1))
+        epochs = min(2, config.ppo.epochs)
+        shorter = agent._replace(ppo=agent.ppo._replace(epochs=epochs))
 
         def rewards(state, batch):
             return intrinsic_reward(agent, state, clean(cut(batch, steps)), state.key)[1]
@@ -155,14 +157,14 @@ class Bench:
         def policy(state, batch):
             batch = clean(cut(batch, steps))
             estimate = advantages(agent.ppo, batch, jnp.zeros_like(batch.reward))
-            return train_policy(one_epoch, state, batch, *estimate, state.key)[0]
+            return train_policy(shorter, state, batch, *estimate, state.key)[0]
 
         def motivation(state, batch):
             return train_module(agent, state, clean(cut(batch, steps)), state.key)[0]
 
         for name, phase, counted in (
             ("rewards", rewards, times),
-            ("policy", policy, times * config.ppo.epochs),
+            ("policy", policy, times * config.ppo.epochs / epochs),
             ("motivation", motivation, times),
         ):
             found[name] = 0.0

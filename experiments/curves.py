@@ -1,67 +1,95 @@
-"""Learning curves of runs, from their metrics.jsonl."""
+"""Learning curves of groups of runs: the mean over seeds with its 95% bootstrap interval."""
 
-import json
-from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import FuncFormatter
 
-# One colour per algorithm everywhere; Okabe and Ito's palette survives colour blindness.
-COLOURS = {"ppo": "#000000", "rnd": "#E69F00", "snd_std": "#0072B2", "snd_vic": "#009E73"}
-OTHER = "#CC79A7"
-LABELS = {"ppo": "PPO", "rnd": "RND", "snd_std": "SND-STD", "snd_vic": "SND-VIC"}
+from experiments.estimates import interval, on_grid, smoothed
+from experiments.finished import Group, Seed
+from experiments.style import label, millions, panels, plt, save, style
 
-
-def read(run: Path, key: str) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Steps and values of one key of `metrics.jsonl`, by seed; lines without it are left out."""
-    points: dict[int, list[tuple[float, float]]] = defaultdict(list)
-    whole, _, _ = (run / "metrics.jsonl").read_text().rpartition("\n")  # it may be being written
-    for line in whole.splitlines():
-        entry = json.loads(line)
-        points[entry["seed"]]
-        if entry.get(key) is not None:
-            points[entry["seed"]].append((entry["step"], entry[key]))
-    return {
-        seed: (np.array([p[0] for p in some]), np.array([p[1] for p in some]))
-        for seed, some in points.items()
-    }
+Curve = tuple[np.ndarray, np.ndarray]
 
 
-def draw(runs: dict[str, Path], title: str, ylabel: str, out: Path) -> None:
-    """Draw one curve per seed of each algorithm's run, and their mean.
+class Quantity(NamedTuple):
+    """Something that has a curve: what its axis says, and a seed's steps and values."""
 
-    Args:
-      runs: the run directory of each algorithm.
-      title, ylabel: of the picture; the curves are means of the last 100 episodes.
-      out: where the PNG goes.
+    axis: str
+    of: Callable[[Seed], Curve | None]
+
+
+def over_episodes(column: str) -> Callable[[Seed], Curve | None]:
+    """A column of episodes.csv as the thesis smooths it."""
+
+    def of(seed: Seed) -> Curve | None:
+        values = seed.episodes[column]
+        return (seed.episodes["step"], smoothed(values)) if len(values) else None
+
+    return of
+
+
+def over_iterations(figure: str) -> Callable[[Seed], Curve | None]:
+    """A figure of metrics.jsonl, where it is one."""
+
+    def of(seed: Seed) -> Curve | None:
+        values = seed.metrics.get(figure)
+        if values is None or not np.isfinite(values).any():
+            return None
+        there = np.isfinite(values)
+        return seed.metrics["step"][there], values[there]
+
+    return of
+
+
+def rooms_so_far(seed: Seed) -> Curve | None:
+    """The most rooms that one episode has gone through."""
+    rooms = seed.episodes.get("rooms")
+    if rooms is None or not len(rooms):
+        return None
+    return seed.episodes["step"], np.maximum.accumulate(rooms)
+
+
+QUANTITIES = {
+    "return": Quantity("external return of an episode", over_episodes("ext_return")),
+    "score": Quantity("game score of an episode", over_episodes("score")),
+    "intrinsic": Quantity("intrinsic reward, mean of a step", over_iterations("int_reward_mean")),
+    "rooms": Quantity("most rooms in one episode", rooms_so_far),
+    "last100": Quantity(
+        "external return, mean of the last 100 episodes", over_iterations("last100_ext_return")
+    ),
+}
+
+
+def draw(groups: list[Group], quantity: str, title: str, out: Path, name: str) -> Path | None:
+    """Draw a quantity of every group that has it, thin lines being seeds.
+
+    Returns:
+      The PNG, an SVG beside it; None where no group has this quantity.
     """
-    figure, axes = plt.subplots(figsize=(7.2, 4.2), dpi=150, layout="constrained")
-    for algo, run in runs.items():
-        colour = COLOURS.get(algo, OTHER)
-        curves = read(run, "last100_ext_return")
-        for steps, values in curves.values():
-            axes.plot(steps, values, color=colour, alpha=0.35, linewidth=1)
-        shared = sorted(set.intersection(*(set(steps) for steps, _ in curves.values())))
-        mean = [
-            np.mean([values[np.searchsorted(steps, step)] for steps, values in curves.values()])
-            for step in shared
-        ]
-        seeds = f"{len(curves)} seed{'s' if len(curves) > 1 else ''}"
-        label = f"{LABELS.get(algo, algo)}, mean of {seeds}"
-        axes.plot(shared, mean, color=colour, linewidth=2.5, label=label)
+    axis, of = QUANTITIES[quantity]
+    figure, ((axes,),) = panels(1, 1)
+    for group in groups:
+        curves = [curve for curve in map(of, group.seeds) if curve is not None]
+        if not curves:
+            continue
+        steps, values = on_grid(curves)
+        mean, look = values.mean(0), style(group.algo)
+        if len(curves) <= 10:
+            for own in curves:
+                axes.plot(*own, color=look["color"], alpha=0.25, linewidth=0.8)
+        band = interval(values)
+        if band is not None:
+            axes.fill_between(steps, *band, color=look["color"], alpha=0.18, linewidth=0)
+        shown = group.name.replace(group.algo, label(group.algo), 1)
+        count = f"{len(curves)} seed{'s' if len(curves) > 1 else ''}"
+        axes.plot(steps, mean, linewidth=2.2, label=f"{shown}, {count}", **look)
+    if not axes.lines:
+        plt.close(figure)
+        return None
     axes.set_title(title)
-    axes.set_xlabel("agent steps per seed")
-    axes.set_ylabel(ylabel)
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x / 1000:,.0f}k" if x else "0"))
-    axes.set_xlim(left=0)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, loc="center right")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out)
-    plt.close(figure)
+    axes.set_ylabel(axis)
+    millions(axes)
+    axes.legend(frameon=False, fontsize=9)
+    return save(figure, out, name)

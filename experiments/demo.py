@@ -25,14 +25,12 @@ def main() -> int:
         if status:
             return status
     from experiments.curves import draw
+    from experiments.finished import find, grouped
 
-    picture = root / "curves.png"
-    draw(
-        runs,
-        "MountainCar, reward only at the goal",
-        "share of the last 100 episodes at the goal",
-        picture,
-    )
+    groups = grouped(find([root])[0])
+    title = "MountainCar, reward only at the goal"
+    picture = draw(groups, "last100", title, root, "curves")
+    assert picture is not None
     print()
     for algo, run in runs.items():
         seeds = json.loads((run / "summary.json").read_text())["seeds"]

@@ -126,4 +126,7 @@ def compose(
         mix = lambda slow, now: decay * slow + (1 - decay) * now
         return state | {"slow": jax.tree.map(mix, state["slow"], slow_part(params))}
 
-    return IntrinsicModule(init, reward, loss, update)
+    def features(params, state, frames, action=None):
+        return view(params, state).encode(frames, action)[0]
+
+    return IntrinsicModule(init, reward, loss, update, features)

@@ -157,6 +157,11 @@ class IntrinsicModule(NamedTuple):
     reward: (params, state, rollout, key) -> (float32[T, N], state), the signal, unscaled
     loss:   (params, state, batch, rollout, key) -> (scalar, metrics), differentiated in params
     update: (params, state) -> state, after each optimizer step
+    features: (params, state, frames[B, *frame], action=None) -> float32[B, d], the encoder's, to
+            look at; None where a module has none to show
+
+    >>> IntrinsicModule(*4 * [lambda *args: None]).features is None
+    True
     """
 
     init: Callable[[PRNGKeyArray, Shaped[Array, "N *frame"]], tuple[Params, State]]
@@ -166,6 +171,7 @@ class IntrinsicModule(NamedTuple):
         tuple[Float[Array, ""], Metrics],
     ]
     update: Callable[[Params, State], State]
+    features: Callable[..., Float[Array, "B d"]] | None = None
 
 
 class Moments(NamedTuple):

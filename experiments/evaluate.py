@@ -1,0 +1,104 @@
+"""python -m experiments.evaluate RUN_DIR episodes=20: how well an agent plays, without training.
+
+Prints return, score and length (and rooms, in Montezuma's Revenge) of every seed of the run, each
+the mean over episodes with its 95% bootstrap interval; as its last line a JSON object.
+"""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.arguments import read, usage
+from experiments.options import ConfigError, option
+from experiments.process import before_jax
+from experiments.run import refuse
+
+
+@dataclass(frozen=True)
+class Options:
+    """What can be chosen."""
+
+    episodes: int = option(16, "that each seed plays, side by side", low=1, high=1024)
+    policy: str = option("sampled", "how actions are taken", choices=("sampled", "greedy"))
+    seed: int = option(0, "of the environments", low=0, high=2**31 - 1)
+
+
+def figures(played: list[Any]) -> dict[str, np.ndarray]:
+    """Of each episode what is reported, float64[E]."""
+    found = {
+        "return": np.array([episode.reward.sum(dtype=np.float64) for episode in played]),
+        "score": np.array([episode.score.sum(dtype=np.float64) for episode in played]),
+        "length": np.array([float(len(episode.action)) for episode in played]),
+    }
+    if any(episode.room.any() for episode in played):
+        found["rooms"] = np.array([float(len(np.unique(episode.room))) for episode in played])
+    return found
+
+
+def evaluate(run: Path, options: Options) -> list[dict[str, Any]]:
+    """The figures of every seed of a run.
+
+    Raises:
+      ConfigError: there is no agent to play.
+    """
+    from rich.progress import Progress, TextColumn
+
+    from experiments.estimates import interval
+    from experiments.player import load, play
+
+    lines = []
+    seeds, left = load(run).config.seeds, TextColumn("{task.fields[now]}")
+    with Progress(*Progress.get_default_columns(), left) as bar:
+        for seed in seeds:
+            player = load(run, seed)
+            task = bar.add_task(f"seed {seed}", total=options.episodes, now="")
+
+            def report(steps, ended, task=task):
+                bar.update(task, completed=ended, now=f"step {steps:,}")
+
+            played = play(
+                player, options.episodes, options.policy == "greedy", options.seed, report
+            )
+            line: dict[str, Any] = {"seed": seed, "iteration": player.iteration}
+            for name, values in figures(played).items():
+                band = interval(values)
+                line[name] = {"mean": float(values.mean()), "max": float(values.max())}
+                if band is not None:
+                    line[name]["interval"] = [float(x) for x in band]
+            lines.append(line)
+    return lines
+
+
+def main(arguments: list[str]) -> int:
+    """Print the figures."""
+    if not arguments or "--help" in arguments or "-h" in arguments:
+        print(usage(str(__doc__), Options))
+        return 0 if arguments else 2
+    try:
+        places, options = read(arguments, Options)
+        if len(places) != 1:
+            raise ConfigError("give one run directory")
+        lines = evaluate(places[0], options)
+    except ConfigError as error:
+        return refuse(error)
+    for line in lines:
+        print(f"seed {line['seed']}, iteration {line['iteration']}, {options.policy}")
+        for name in ("return", "score", "length", "rooms"):
+            if name in line:
+                found = line[name]
+                low, high = found.get("interval", (float("nan"),) * 2)
+                print(
+                    f"  {name:<8} {found['mean']:>10.3f}  95% {low:.3f} to {high:.3f}  "
+                    f"best {found['max']:.3f}"
+                )
+    print(json.dumps({"policy": options.policy, "episodes": options.episodes, "seeds": lines}))
+    return 0
+
+
+if __name__ == "__main__":
+    before_jax()
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,65 @@
+"""The shape of a feature space, as section 5.4 measures it. All in float64 NumPy."""
+
+import numpy as np
+
+PERCENTILES = (25, 50, 75, 95)
+COMPARED = 1000  # states: squared singular values grow with their number
+
+
+def eigenvalues(z: np.ndarray) -> np.ndarray:
+    """The squared singular values of the centred features, the largest first.
+
+    Args:
+      z: float[M, d].
+
+    >>> eigenvalues(np.array([[1.0, 0.0], [-1.0, 0.0]])).tolist()
+    [2.0, 0.0]
+    """
+    centred = np.asarray(z, np.float64) - np.mean(z, axis=0, dtype=np.float64)
+    return np.linalg.svd(centred, compute_uv=False) ** 2
+
+
+def rank(z: np.ndarray) -> int:
+    """The number of linearly independent dimensions: of the R of a QR decomposition.
+
+    >>> rank(np.array([[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]))
+    1
+    """
+    return int(np.linalg.matrix_rank(np.linalg.qr(np.asarray(z, np.float64), mode="r")))
+
+
+def distances(x: np.ndarray) -> np.ndarray:
+    """Pairwise L2 distances, float64[M, M].
+
+    >>> distances(np.array([[0.0, 0.0], [3.0, 4.0]])).tolist()
+    [[0.0, 5.0], [5.0, 0.0]]
+    """
+    from scipy.spatial.distance import pdist, squareform
+
+    return squareform(pdist(np.asarray(x, np.float64).reshape(len(x), -1)))
+
+
+def figures(z: np.ndarray, follows: np.ndarray) -> dict[str, float]:
+    """A row of Tables 5.9 and 5.10.
+
+    Args:
+      z: float[M, d], features of states in order.
+      follows: bool[M - 1], whether state m + 1 is the successor of state m.
+
+    Returns:
+      Mean and deviation of ||z_t+1 - z_t|| and of ||z||, percentiles of the eigenvalues of the
+      first `COMPARED` states, the rank of all, and d.
+    """
+    z = np.asarray(z, np.float64)
+    step = np.linalg.norm(np.diff(z, axis=0), axis=1)[follows]
+    norm = np.linalg.norm(z, axis=1)
+    spectrum = eigenvalues(z[:COMPARED])
+    return {
+        "step_mean": float(step.mean()),
+        "step_std": float(step.std()),
+        "norm_mean": float(norm.mean()),
+        "norm_std": float(norm.std()),
+        **{f"q{p}": float(np.percentile(spectrum, p)) for p in PERCENTILES},
+        "rank": rank(z),
+        "d": z.shape[1],
+    }

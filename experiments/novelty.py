@@ -1,0 +1,216 @@
+"""python -m experiments.novelty env=MontezumaRevenge: novelty detection with no agent (Fig. 5.11).
+
+Modules go along one long trajectory (`experiments.trajectory`), 2,700 states in order. At every
+fourth step n each takes one gradient step on 128 pairs drawn from the past, m < n; at every
+sixteenth its signal is read on four windows: the past, the near future n < m < n + 128, the far
+future m > n, and anywhere. Each module is written when it is done, and the same command goes on
+where it was.
+"""
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.arguments import read, usage
+from experiments.config import load
+from experiments.directory import replace
+from experiments.options import ConfigError, option
+from experiments.process import before_jax
+from experiments.run import refuse
+
+ALGORITHMS = "rnd,snd_v,snd_std,snd_vic,snd_vinv,icm,sp"
+ABOUT = {
+    "past": "states it was trained on, m < n",
+    "near": "near future, n < m < n + 128",
+    "far": "far future, m > n",
+    "random": "any state",
+}
+COLOURS = {"past": "#7F7F7F", "near": "#D55E00", "far": "#0072B2", "random": "#009E73"}
+PEAKS = 5  # that are shown
+
+
+@dataclass(frozen=True)
+class Options:
+    """What can be chosen."""
+
+    env: str = option("MontezumaRevenge", "the game", choices=("MontezumaRevenge",))
+    algos: str = option(ALGORITHMS, "modules, by name")
+    out: str = option("novelty", "where figures and numbers go")
+    train_every: int = option(4, "states between gradient steps", low=1)
+    read_every: int = option(16, "states between readings", low=1)
+    states: int = option(2700, "of the trajectory, from its start", low=300, high=2700)
+    seed: int = option(0, "of the weights and the draws", low=0, high=2**31 - 1)
+
+
+def names_of(options: Options) -> list[str]:
+    """The modules.
+
+    Raises:
+      ConfigError: one does not exist, or has no signal.
+    """
+    names = [name.strip() for name in options.algos.split(",")]
+    for name in names:
+        if load(["env=MontezumaRevenge", f"algo={name}"]).algo.name == "ppo":
+            raise ConfigError("algos=ppo: it has no novelty signal")
+    return names
+
+
+def settings(options: Options, name: str, digest: str) -> dict[str, Any]:
+    """What makes one module's study another."""
+    kept = {k: v for k, v in asdict(options).items() if k not in ("algos", "out")}
+    return kept | {"algo": name, "trajectory": digest}
+
+
+def done(path: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
+    """A module's study, if it is there and was made with these settings."""
+    try:
+        stored = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return stored if stored.get("settings") == wanted else None
+
+
+def advance(bar: Any, task: Any, n: int) -> None:
+    """Show that step n is done."""
+    bar.update(task, completed=n)
+
+
+def studies(options: Options, walk: Any, out: Path) -> dict[str, dict[str, Any]]:
+    """Every module's study, from the disk or made now."""
+
+    from rich.progress import MofNCompleteColumn, Progress
+
+    from experiments.study import WINDOWS, figures, study
+    from experiments.trajectory import digest
+
+    found = {}
+    with Progress(*Progress.get_default_columns(), MofNCompleteColumn()) as bar:
+        for name in names_of(options):
+            path = out / f"{name}.json"
+            wanted = settings(options, name, digest(walk))
+            task = bar.add_task(name, total=len(walk.action))
+            stored = done(path, wanted)
+            if stored is None:
+                where, means = study(
+                    name,
+                    walk,
+                    options.train_every,
+                    options.read_every,
+                    options.seed,
+                    partial(advance, bar, task),
+                )
+                curves = {w: means[:, i].tolist() for i, w in enumerate(WINDOWS)}
+                stored = {"settings": wanted, "figures": figures(where, means)}
+                stored |= {"n": where.tolist()} | curves
+                replace(path, json.dumps(stored) + "\n")
+            bar.update(task, completed=len(walk.action))
+            found[name] = stored
+    return found
+
+
+def peaks(n: list[int], near: list[float]) -> np.ndarray:
+    """The steps at which the near future was most novel, in order: where its logarithm peaks."""
+    from scipy.signal import find_peaks
+
+    where, how = find_peaks(np.log(near), prominence=0.05, distance=4)
+    most = where[np.argsort(how["prominences"])[::-1][:PEAKS]]
+    return np.array(n)[np.sort(most)]
+
+
+def draw(name: str, stored: dict[str, Any], walk: Any, out: Path) -> Path:
+    """A panel of Fig. 5.11: the windows' signals along the trajectory, and the states at peaks."""
+    from experiments.style import label, panels, save
+
+    figure, axes = panels(2, 1, 8.4, 5.4, height_ratios=[3, 1.3])
+    top, bottom = axes[:, 0]
+    for window, about in ABOUT.items():
+        top.plot(stored["n"], stored[window], color=COLOURS[window], label=about, linewidth=1.4)
+    for step in first_visits(walk):
+        top.axvline(step, color="#000000", alpha=0.2, linewidth=0.8, zorder=0)
+    where = peaks(stored["n"], stored["near"])
+    heights = np.interp(where, stored["n"], stored["near"])
+    top.plot(where, heights, "o", color="red", markersize=5)
+    for i, (x, y) in enumerate(zip(where, heights, strict=True)):
+        top.annotate(f"{i + 1}", (x, y), textcoords="offset points", xytext=(4, 4))
+    top.set_yscale("log")
+    top.set_xlabel("step n of the trajectory (agent steps); lines: a room seen for the first time")
+    top.set_ylabel("signal, unscaled")
+    top.set_title(label(name))
+    top.legend(frameon=False, fontsize=8, ncols=2)
+    bottom.axis("off")
+    shown = [walk.frames[min(step + 64, len(walk.frames) - 1), :, :, 0] for step in where]
+    if shown:
+        gap = np.full((shown[0].shape[0], 8), 255, np.uint8)
+        bottom.imshow(
+            np.concatenate([x for frame in shown for x in (frame, gap)], axis=1), cmap="gray"
+        )
+        for i, step in enumerate(where):
+            bottom.text(i * 104 + 2, -4, f"{i + 1}: m = {step + 64}", fontsize=8)
+    return save(figure, out, f"novelty-{name}")
+
+
+def first_visits(walk: Any) -> list[int]:
+    """The steps at which each room but the first is seen for the first time."""
+    _, first = np.unique(walk.room, return_index=True)
+    return sorted(int(step) + 1 for step in first)[1:]
+
+
+def table_rows(found: dict[str, dict[str, Any]]) -> list[list[str]]:
+    """The claim in numbers, a row a module."""
+    from experiments.style import label
+
+    return [
+        [label(name), *(f"{value:.2f}" for value in stored["figures"].values())]
+        for name, stored in found.items()
+    ]
+
+
+def main(arguments: list[str]) -> int:
+    """Study every module, draw, and write the page."""
+    if "--help" in arguments or "-h" in arguments:
+        print(usage(str(__doc__), Options))
+        return 0
+    try:
+        places, options = read(arguments, Options)
+        if places:
+            raise ConfigError(f"'{places[0]}': write key=value")
+        names_of(options)
+        out = Path(options.out)
+        out.mkdir(parents=True, exist_ok=True)
+    except (ConfigError, OSError) as error:
+        return refuse(error)
+    from experiments.page import Section, Table, write_page
+    from experiments.process import keep_compilations
+    from experiments.trajectory import Walk, replayed
+
+    keep_compilations()
+    print("replaying the trajectory", flush=True)
+    whole = replayed()
+    cut = options.states
+    walk = Walk(whole.frames[:cut], whole.action[: cut - 1], whole.room[: cut - 1])
+    found = studies(options, walk, out)
+    pictures = [(draw(name, stored, walk, out), name) for name, stored in found.items()]
+    head = ["module", "far / past", "near / past", "near: last / first quarter"]
+    table = Table(head, table_rows(found), "Means over the trajectory", "novelty")
+    visits = first_visits(walk)
+    write_page(
+        out / "index.html",
+        "Novelty along a trajectory, Montezuma's Revenge",
+        f"{len(walk.frames):,} states, {len(visits) + 1} rooms, each module trained on its past "
+        "alone (Fig. 5.11 of the thesis). Red dots: peaks of the near future, with the state 64 "
+        "steps on.",
+        [Section("In numbers", tables=[table]), Section("Module by module", pictures=pictures)],
+    )
+    print("\n".join("  ".join(f"{cell:<12}" for cell in row) for row in [head, *table.rows]))
+    print(f"page: {(out / 'index.html').resolve()}")
+    return 0
+
+
+if __name__ == "__main__":
+    before_jax()
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,203 @@
+"""A trained agent, read back from its run and let play without training."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sndjax
+from experiments.agents import build, first_states
+from experiments.checkpoint import Checkpoints, Damaged
+from experiments.environments import EnvpoolPool, make_pool, seeds_of
+from experiments.options import Config, ConfigError
+from experiments.stored import CONFIG, read
+from sndjax import TrainState
+from sndjax.acting import forward, scale_vectors
+from sndjax.rollout import channels, push
+
+PIECE = 256
+
+
+class Player(NamedTuple):
+    """An agent with the state of one seed."""
+
+    config: Config
+    agent: sndjax.Agent
+    state: TrainState
+    seed: int
+    iteration: int  # of the checkpoint
+
+
+class Episode(NamedTuple):
+    """One played episode, L transitions."""
+
+    frames: np.ndarray  # [L + 1, *frame], as the module sees them
+    action: np.ndarray  # int32[L], the policy's
+    executed: np.ndarray  # int32[L], what the environment was given
+    value: np.ndarray  # float32[L, K]
+    reward: np.ndarray  # float32[L], the training reward
+    score: np.ndarray  # float32[L]
+    room: np.ndarray  # uint8[L], in Montezuma's Revenge, else zeros
+    stream: int  # the seed of its environment
+
+
+def find_state(run: Path, config: Config, like: Any) -> tuple[int, TrainState]:
+    """The newest whole checkpoint of a run: its iteration and the states of all seeds.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    checkpoints = Checkpoints(run)
+    try:
+        step, _, _ = checkpoints.find(lambda manifest: None)
+        if step is None:
+            raise ConfigError(f"{run}: there is no checkpoint")
+        return step, checkpoints.load(step, like)
+    except Damaged as error:
+        raise ConfigError(f"{run}: no checkpoint can be used: {error}") from None
+
+
+def load(run: Path, seed: int | None = None) -> Player:
+    """The agent of a run, of its first seed unless another is named.
+
+    Raises:
+      ConfigError: there is no run, no such seed, no checkpoint that can be used.
+    """
+    if not (run / CONFIG).is_file():
+        raise ConfigError(f"{run}: there is no run (no {CONFIG})")
+    config = read(run / CONFIG).config
+    seed = config.seed if seed is None else seed
+    if seed not in config.seeds:
+        raise ConfigError(f"{run}: there is no seed {seed}; it has {config.seeds}")
+    pool = make_pool(config.env, config.seeds[:1], 1)
+    agent = build(config, pool)
+    pool.close()
+    example = jnp.zeros((config.num_envs, *pool.shape), pool.dtype)
+    like = jax.eval_shape(lambda: first_states(agent, config.seeds, example))
+    iteration, states = find_state(run, config, like)
+    own = jax.tree.map(lambda x: x[config.seeds.index(seed)], states)
+    return Player(config, agent, jax.tree.map(jnp.asarray, own), seed, iteration)
+
+
+def chooser(player: Player, greedy: bool) -> Callable[..., Any]:
+    """A jitted step of the policy: (window, frame, first, step) -> (action, value, window)."""
+    agent, state = player.agent, player.state
+    actor = sndjax.Actor(state.policy, state.observations, state.key)
+
+    @jax.jit
+    def choose(window, frame, first, step):
+        if not greedy:
+            decision, window = sndjax.act(agent, actor, window, frame, first, step)
+            return decision.action, decision.executed, decision.value, window
+        window = push(window, frame, first, agent.stack.repeat)
+        seen = scale_vectors(window, actor.observations, agent.unbounded)
+        logits, value = forward(agent.network, actor.policy, channels(seen))
+        action = jnp.argmax(logits, axis=-1)
+        return action, action, value, window
+
+    return choose
+
+
+def play(
+    player: Player,
+    episodes: int,
+    greedy: bool = False,
+    seed: int = 0,
+    report: Callable[[int, int], None] = lambda steps, ended: None,
+) -> list[Episode]:
+    """Whole episodes, one in each environment: short ones are not counted more often.
+
+    Args:
+      player: who plays.
+      episodes: how many, side by side.
+      greedy: take the likeliest action instead of drawing one.
+      seed: of the environments.
+      report: called with the steps taken and the number of episodes that have ended.
+    """
+    env, stack = player.config.env, player.config.env.stack
+    pool = make_pool(env, [seed], episodes)
+    choose = chooser(player, greedy)
+    frame, first = pool.reset()[0], np.ones(episodes, bool)
+    window: Any = np.zeros((stack, episodes, *pool.shape), pool.dtype)
+    alive = np.ones(episodes, bool)
+    frames: list[list[np.ndarray]] = [[one] for one in frame.copy()]
+    rows: list[list[tuple[Any, ...]]] = [[] for _ in range(episodes)]
+    t = 0
+    while alive.any():
+        decided = choose(window, frame, first, np.int32(t))
+        window, (action, executed, value) = decided[-1], map(np.asarray, decided[:-1])
+        step = pool.step(executed[None])
+        room = np.zeros(alive.shape, np.uint8) if step.room is None else step.room[0]
+        columns = (action, executed, value, step.reward[0], step.score[0], room)
+        for n in np.nonzero(alive)[0].tolist():
+            rows[n].append(tuple(column[n] for column in columns))
+            frames[n].append(step.frame[0, n].copy())
+        alive &= ~step.done[0]
+        frame, first = step.frame[0], ~step.valid[0]
+        t += 1
+        report(t, episodes - int(alive.sum()))
+    pool.close()
+    found = []
+    for n, stream in enumerate(seeds_of(seed, episodes, 0)):
+        taken: Any = [np.array(column) for column in zip(*rows[n], strict=True)]
+        found.append(Episode._make([np.stack(frames[n]), *taken, stream]))
+    return found
+
+
+def pictures(player: Player, episode: Episode) -> Iterator[np.ndarray]:
+    """What envpool draws of every state of an episode, uint8[H, W, 3]: it is played again.
+
+    Raises:
+      ConfigError: the task is not envpool's and has no images, or went otherwise this time.
+    """
+    env = player.config.env
+    if env.suite != "envpool":
+        if episode.frames.dtype != np.uint8:
+            raise ConfigError(f"{env.id}: of gymnasium's tasks only those with images can be drawn")
+        yield from (
+            np.repeat(frame[..., -1:], 3, -1) if frame.shape[-1] != 3 else frame
+            for frame in episode.frames
+        )
+        return
+    drawn = replace(env, options={**env.options, "render_mode": "rgb_array"})
+    pool = EnvpoolPool(drawn, [[episode.stream]])
+    frame = pool.reset()[0, 0]
+    for t in range(len(episode.frames)):
+        if not np.array_equal(frame, episode.frames[t]):
+            raise ConfigError(f"{env.id} went otherwise when it was played again, at step {t}")
+        yield np.asarray(pool.envs.render(env_ids=np.zeros(1, int)))[0]
+        if t < len(episode.executed):
+            frame = pool.step(episode.executed[None, t : t + 1]).frame[0, 0]
+    pool.close()
+
+
+def novelty(player: Player, episode: Episode) -> np.ndarray:
+    """The unscaled signal of every transition, float32[L], with the weights of the checkpoint.
+
+    Zeros of the baseline. Episodic signals begin without memories.
+    """
+    motivation, length = player.agent.motivation, len(episode.action)
+    if motivation is None:
+        return np.zeros(length, np.float32)
+    module = motivation.module
+    short = -length % PIECE  # the rewards are read in pieces of that many frames
+    column = lambda x, fill: jnp.pad(jnp.asarray(x), (0, short), constant_values=fill)[:, None]
+    frames = np.concatenate([episode.frames, episode.frames[-1:].repeat(short, 0)])[:, None]
+    seen = scale_vectors(jnp.asarray(frames), player.state.observations, player.agent.unbounded)
+    steps = np.arange(length)
+    rollout = sndjax.Rollout(
+        seen,
+        column(episode.action, 0),
+        column(steps == 0, False),
+        column(steps == length - 1, False),
+        column(steps >= 0, False),
+    )
+    _, fresh = jax.eval_shape(module.init, jax.random.key(0), seen[0])
+    blank = lambda kept, new: kept if kept.shape == new.shape else jnp.zeros(new.shape, new.dtype)
+    state = jax.tree.map(blank, player.state.intrinsic_state, fresh)
+    value, _ = jax.jit(module.reward)(player.state.intrinsic, state, rollout, jax.random.key(0))
+    return np.asarray(value)[:length, 0]

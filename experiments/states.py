@@ -1,0 +1,118 @@
+"""States in order, and what networks make of them."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.options import ConfigError
+from experiments.player import Player, play
+from experiments.trajectory import replayed
+from sndjax.acting import scale_vectors
+from sndjax.rollout import channels
+
+BATCH, TOGETHER = 128, 4  # states through a network at once, episodes played side by side
+
+
+class States(NamedTuple):
+    """M states, whole episodes one after another (the last one may be cut)."""
+
+    frames: np.ndarray  # [M, *frame]
+    action: np.ndarray  # int32[M], 0 where an episode ends
+    age: np.ndarray  # int[M], steps since its episode began
+    room: np.ndarray | None  # int[M], in Montezuma's Revenge
+
+    @property
+    def follows(self) -> np.ndarray:
+        """bool[M - 1]: whether state m + 1 is the successor of state m."""
+        return self.age[1:] > 0
+
+    def cut(self, count: int) -> "States":
+        """The first states."""
+        return States._make(None if x is None else x[:count] for x in self)
+
+
+def collected(
+    player: Player, count: int, seed: int, report: Callable[[int], None] = lambda count: None
+) -> States:
+    """The states of whole episodes, the policy's actions sampled, until there are enough."""
+    parts: list[States] = []
+    total = 0
+    while total < count:
+        for episode in play(player, TOGETHER, seed=seed + len(parts)):
+            length = len(episode.action)  # the state that ends it has no successor: dropped
+            room = np.concatenate([episode.room[:1], episode.room[:-1]]).astype(int)
+            states = States(episode.frames[:length], episode.action, np.arange(length), room)
+            parts.append(states)
+            total += length
+        report(min(total, count))
+    joined: Any = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    states = States(*joined)
+    return (
+        states if states.room is not None and states.room.any() else states._replace(room=None)
+    ).cut(count)
+
+
+def recorded(count: int) -> States:
+    """The states of the committed trajectory through Montezuma's Revenge."""
+    walk = replayed()
+    room = np.concatenate([walk.room[:1], walk.room]).astype(int)
+    action = np.append(walk.action, 0).astype(np.int32)
+    return States(walk.frames, action, np.arange(len(walk.frames)), room).cut(count)
+
+
+def in_batches(function: Callable[..., Any], *arrays: np.ndarray) -> np.ndarray:
+    """A jitted function of `BATCH` rows, of all rows; the last batch is filled up."""
+    parts = []
+    for start in range(0, len(arrays[0]), BATCH):
+        own = [x[start : start + BATCH] for x in arrays]
+        size = len(own[0])
+        filled = [np.concatenate([x, x[-1:].repeat(BATCH - size, 0)]) for x in own]
+        parts.append(np.asarray(function(*filled))[:size])
+    return np.concatenate(parts)
+
+
+def features(player: Player, states: States) -> np.ndarray | None:
+    """What the module's encoder makes of the states, float32[M, d]; None of the baseline.
+
+    Raises:
+      ConfigError: this module has no features to show.
+    """
+    motivation, state = player.agent.motivation, player.state
+    if motivation is None:
+        return None
+    read = motivation.module.features
+    if read is None:
+        raise ConfigError(f"algo={player.config.algo.name} has no features to show")
+
+    @jax.jit
+    def encode(frames, action):
+        seen = scale_vectors(frames, state.observations, player.agent.unbounded)
+        return read(state.intrinsic, state.intrinsic_state, seen, action)
+
+    return in_batches(encode, states.frames, states.action)
+
+
+def torso(player: Player, states: States) -> np.ndarray:
+    """What the policy's torso makes of them, float32[M, d]: its linear layer's output."""
+    network, stack = player.agent.network, player.agent.stack
+
+    @jax.jit
+    def apply(stacked):
+        seen = scale_vectors(stacked, player.state.observations, player.agent.unbounded)
+        seen = channels(jnp.moveaxis(seen, 1, 0))
+        _, found = network.apply(player.state.policy, seen, capture_intermediates=True)
+        return found["intermediates"]["Dense_0"]["__call__"][0]
+
+    def of(rows):
+        back = np.arange(stack.size - 1, -1, -1)
+        age = states.age[rows][:, None]
+        older = np.minimum(back, age) if stack.repeat else np.where(back <= age, back, 0)
+        stacked = states.frames[rows[:, None] - older]
+        if not stack.repeat:
+            stacked[back > age] = 0
+        return apply(stacked)
+
+    return in_batches(of, np.arange(len(states.frames)))

@@ -1,0 +1,138 @@
+"""The thesis' tables with our numbers beside its own, and what SciPy says of the seeds."""
+
+import csv
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.estimates import improvement, interquartile_mean, interval
+from experiments.finished import Group, Seed
+from experiments.page import Table
+from experiments.style import label
+
+THESIS = Path(__file__).parent / "data" / "thesis.csv"
+TABLES = {
+    "5.6": "external return per episode, mean over all training episodes, SND",
+    "5.7": "best episode's game score, Atari",
+    "5.8": "external return per episode, mean over all training episodes, ICM and SP",
+}
+
+
+class Published(NamedTuple):
+    """A number of the thesis; the deviation is over its runs, NaN where it gives none."""
+
+    value: float
+    std: float
+
+
+def thesis(table: str) -> dict[tuple[str, str, str], Published]:
+    """The numbers of one table by environment, algorithm and quantity.
+
+    >>> thesis("5.6")["Climber", "snd_vic", "mean_episode_reward"]
+    Published(value=6.62, std=3.24)
+    """
+    with THESIS.open(newline="") as file:
+        return {
+            (row["env"], row["algo"], row["quantity"]): Published(
+                float(row["value"]), float(row["std"] or "nan")
+            )
+            for row in csv.DictReader(file)
+            if row["table"] == table
+        }
+
+
+def mean_return(seed: Seed) -> float:
+    """The mean external return of all training episodes; NaN before the first ends."""
+    returns = seed.episodes["ext_return"]
+    return float(returns.mean()) if len(returns) else float("nan")
+
+
+def best_score(seed: Seed) -> float:
+    """The best episode's game score; NaN before the first ends."""
+    scores = seed.episodes["score"]
+    return float(scores.max()) if len(scores) else float("nan")
+
+
+def spread(values: list[float]) -> str:
+    """Mean and population deviation of what is there, or nothing.
+
+    >>> spread([1.0, 3.0]), spread([float("nan")])
+    ('2.00 ± 1.00', '')
+    """
+    there = np.array([value for value in values if np.isfinite(value)])
+    return f"{there.mean():.2f} ± {there.std():.2f}" if len(there) else ""
+
+
+def published(number: Published) -> str:
+    """A number of the thesis as it prints it."""
+    deviation = "" if np.isnan(number.std) else f" ± {number.std:g}"
+    return f"{number.value:g}{deviation}"
+
+
+def thesis_table(table: str, groups: list[Group]) -> Table:
+    """One of `TABLES`: every number of the thesis, and ours where there is one."""
+    of = best_score if table == "5.7" else mean_return
+    rows = []
+    known = thesis(table)
+    for (env, algo, _), number in known.items():
+        ours: list[Group | None] = [g for g in groups if (g.env, g.algo) == (env, algo)]
+        for group in ours or [None]:
+            cells = ["", "", ""]
+            if group is not None:
+                found = [of(seed) for seed in group.seeds]
+                cells = [spread(found), str(len(found)), f"{group.steps / 1e6:.3g}"]
+            name = algo if group is None else group.name
+            rows.append([env, name.replace(algo, label(algo), 1), *cells, published(number)])
+    head = ["environment", "algorithm", "ours", "seeds", "steps, millions", "thesis"]
+    return Table(head, rows, f"Table {table}: {TABLES[table]}", f"table-{table}")
+
+
+def seeds_table(groups: list[Group]) -> Table:
+    """Every group's interquartile mean over seeds, with its interval, and its last episodes."""
+    rows = []
+    for group in groups:
+        found = np.array([mean_return(seed) for seed in group.seeds])
+        found = found[np.isfinite(found)]
+        last = [
+            float(np.mean(s.episodes["ext_return"][-100:]))
+            for s in group.seeds
+            if len(s.episodes["ext_return"])
+        ]
+        band = interval(found, interquartile_mean)
+        rows.append(
+            [
+                group.env,
+                group.name.replace(group.algo, label(group.algo), 1),
+                str(len(group.seeds)),
+                f"{interquartile_mean(found):.3g}" if len(found) else "",
+                "" if band is None else f"{band[0]:.3g} to {band[1]:.3g}",
+                spread(last),
+            ]
+        )
+    head = ["environment", "algorithm", "seeds", "interquartile mean", "95% interval", "last 100"]
+    caption = "External return per episode over seeds; the last column is of each seed's end"
+    return Table(head, rows, caption, "seeds")
+
+
+def improvement_table(groups: list[Group]) -> Table:
+    """The probability that a run of the row's algorithm beats one of the column's.
+
+    Mean over the environments that both have; empty where there is none.
+    """
+    returns: dict[str, dict[str, np.ndarray]] = {}
+    for group in groups:
+        found = np.array([mean_return(seed) for seed in group.seeds])
+        returns.setdefault(group.name, {})[group.env] = found[np.isfinite(found)]
+    rows = []
+    for ours, own in returns.items():
+        cells = []
+        for theirs, other in returns.items():
+            shared = [e for e in own if e in other and len(own[e]) and len(other[e])]
+            known = ours != theirs and shared
+            cells.append(
+                f"{np.mean([improvement(own[e], other[e]) for e in shared]):.2f}" if known else ""
+            )
+        rows.append([ours, *cells])
+    caption = "Probability of improvement: a run of the row beats one of the column"
+    return Table(["", *returns], rows, caption, "improvement")
