@@ -7,6 +7,7 @@ and 5.10: one page, and each part as PNG, SVG and CSV.
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from experiments.options import ConfigError, option
 from experiments.process import before_jax
 from experiments.run import refuse
 
-SPREAD_OUT = 1000  # states of the distance matrices and of t-SNE
 THESIS = {"step": "l2_norm", "q25": "eigenvalue_q25", "q50": "eigenvalue_q50",
           "q75": "eigenvalue_q75", "q95": "eigenvalue_q95"}  # fmt: skip
 
@@ -77,74 +77,6 @@ def names_of(players: list[Any]) -> list[str]:
     ]
 
 
-def draw_distances(states: Any, spaces: dict[str, np.ndarray], out: Path) -> Path:
-    """Fig. 5.7: pairwise distances of states and of their features, each over its own range."""
-    from experiments.geometry import distances
-    from experiments.style import label, panels, save
-
-    shown = {"states": states.frames} | spaces
-    columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    figure, axes = panels(rows, columns, 3.4 * columns, 3.2 * rows)
-    for one in axes.flat[len(shown) :]:
-        one.axis("off")
-    for one, (name, x) in zip(axes.flat, shown.items(), strict=False):
-        found = distances(x[:SPREAD_OUT] / 255 if x.dtype == np.uint8 else x[:SPREAD_OUT])
-        image = one.imshow(found, cmap="coolwarm", interpolation="nearest")
-        one.set_title(label(name))
-        one.set_xlabel("state, in order")
-        figure.colorbar(image, ax=one, shrink=0.8, label="L2 distance")
-    return save(figure, out, "distances")
-
-
-def draw_tsne(states: Any, spaces: dict[str, np.ndarray], seed: int, out: Path) -> Path:
-    """Fig. 5.8: t-SNE of the features, coloured by room (by order where there are no rooms)."""
-    from rich.progress import track
-    from sklearn.manifold import TSNE
-
-    from experiments.style import label, panels, plt, save
-
-    columns = min(3, len(spaces))
-    rows = -(-len(spaces) // columns)
-    figure, axes = panels(rows, columns, 3.4 * columns, 3.2 * rows)
-    for one in axes.flat:
-        one.axis("off")
-    for i, (name, z) in track(list(enumerate(spaces.items())), "t-SNE"):
-        one, z = axes.flat[i], z[:SPREAD_OUT]
-        perplexity = min(30, (len(z) - 1) // 3)
-        points = TSNE(random_state=seed, perplexity=perplexity, init="pca").fit_transform(z)
-        if states.room is None:
-            dots = one.scatter(*points.T, c=np.arange(len(z)), s=5, cmap="viridis")
-            if i == 0:
-                figure.colorbar(dots, ax=one, label="state, in order")
-        else:
-            for k, room in enumerate(np.unique(states.room[: len(z)])):
-                own = states.room[: len(z)] == room
-                colour = plt.get_cmap("tab20")(k % 20)
-                one.scatter(*points[own].T, s=5, color=colour, label=f"room {room}")
-            if i == 0:
-                one.legend(fontsize=6, markerscale=2, loc="upper left", frameon=False)
-        one.set_title(label(name))
-    return save(figure, out, "tsne")
-
-
-def draw_eigenvalues(spaces: dict[str, np.ndarray], algos: dict[str, str], out: Path) -> Path:
-    """Fig. 5.9 and 5.10: the eigenvalues in descending order, on a logarithmic axis."""
-    from experiments.geometry import COMPARED, eigenvalues
-    from experiments.style import label, panels, save, style
-
-    figure, ((axes,),) = panels(1, 1)
-    for name, z in spaces.items():
-        spectrum = eigenvalues(z[:COMPARED])
-        shown = np.maximum(spectrum, 1e-12 * spectrum[0])
-        axes.plot(shown, label=label(name), linewidth=1.8, **style(algos[name]))
-    axes.set_yscale("log")
-    axes.set_xlabel("index, in descending order")
-    axes.set_ylabel(f"eigenvalue ({min(COMPARED, len(z)):,} states)")
-    axes.legend(frameon=False)
-    return save(figure, out, "eigenvalues")
-
-
 def row_of(name: str, found: dict[str, float], most: float) -> list[str]:
     """Our row of the table."""
     return [
@@ -177,7 +109,7 @@ def table_of(
 ) -> Any:
     """Tables 5.9 and 5.10: encoder and torso of every run, and the thesis' rows."""
     from experiments.finished import read_run
-    from experiments.geometry import figures
+    from experiments.geometry import COMPARED, figures
     from experiments.page import Table
     from experiments.style import label
 
@@ -194,7 +126,7 @@ def table_of(
             rows.append(theirs)
     head = ["features", "max external return", "‖z_t+1 - z_t‖", "‖z‖", "Q25", "Q50", "Q75", "Q95",
             "rank"]  # fmt: skip
-    caption = f"Eigenvalues of the first {min(1000, len(states.frames)):,} states"
+    caption = f"Eigenvalues of the first {min(COMPARED, len(states.frames)):,} states"
     return Table(head, rows, caption, "geometry")
 
 
@@ -204,46 +136,48 @@ def analyze(runs: list[Path], options: Options) -> Path:
     Raises:
       ConfigError: a run has no agent to read back.
     """
-    from rich.progress import track
-
+    from experiments import spaces as draw
     from experiments.page import Section, write_page
     from experiments.player import load
+    from experiments.progress import Bars
     from experiments.states import collected, features, recorded, torso
 
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    players = [load(run) for run in track(runs, "reading agents")]
-    names = names_of(players)
-    chosen = Path(options.agent) if options.agent else best_of(runs)
-    if options.trajectory:
-        print("replaying the trajectory", flush=True)
-        states, origin = recorded(options.states), "the recorded trajectory"
-    else:
-        player = players[runs.index(chosen)]
-        origin = f"the agent of {chosen}"
-        say = lambda count: print(f"collected {count:,} of {options.states:,} states", flush=True)
-        states = collected(player, options.states, options.seed, say)
-    spaces, torsos = {}, {}
-    for player, name in track(list(zip(players, names, strict=True)), "encoding"):
-        encoded = features(player, states)
-        if encoded is not None:
-            spaces[name] = encoded
-        torsos[name] = torso(player, states)
-    algos = {name: player.config.algo.name for player, name in zip(players, names, strict=True)}
-    looked_at = spaces or torsos
-    print("drawing", flush=True)
-    pictures = [
-        (draw_distances(states, looked_at, out), "Pairwise distances (Fig. 5.7)"),
-        (draw_tsne(states, looked_at, options.seed, out), "t-SNE of the features (Fig. 5.8)"),
-        (draw_eigenvalues(looked_at, algos, out), "Eigenvalues (Fig. 5.9, 5.10)"),
-    ]
-    table = table_of(players, names, runs, spaces, torsos, states)
+    with Bars() as bars:
+        players = [load(run) for run in bars.over("reading agents", runs)]
+        names = names_of(players)
+        if options.trajectory:
+            bars.to("replaying the trajectory", 0, 1)
+            states, origin = recorded(options.states), "the recorded trajectory"
+            bars.to("replaying the trajectory", 1, 1)
+        else:
+            chosen = Path(options.agent) if options.agent else best_of(runs)
+            origin = f"the agent of {chosen}"
+            report = partial(bars.to, "collecting states", total=options.states)
+            states = collected(players[runs.index(chosen)], options.states, options.seed, report)
+        encoded, torsos, algos = {}, {}, {}
+        for name, player in bars.over("encoding", list(zip(names, players, strict=True))):
+            found = features(player, states)
+            if found is not None:
+                encoded[name] = found
+            torsos[name] = torso(player, states)
+            algos[name] = player.config.algo.name
+        looked_at = encoded or torsos
+        pictures = [
+            (draw.distances(states.frames, looked_at, out), "Pairwise distances (Fig. 5.7)"),
+            (draw.eigenvalues(looked_at, algos, out), "Eigenvalues (Fig. 5.9, 5.10)"),
+        ]
+        tsne = draw.tsne(looked_at, states.room, options.seed, out, bars)
+        pictures.insert(1, (tsne, "t-SNE of the features (Fig. 5.8)"))
+    table = table_of(players, names, runs, encoded, torsos, states)
     page = out / "index.html"
     rooms = "" if states.room is None else f" in {len(np.unique(states.room))} rooms"
     write_page(
         page,
         f"Feature spaces, {players[0].config.env.name}",
-        f"{len(states.frames):,} states{rooms} of {origin}; first {SPREAD_OUT:,} in the pictures.",
+        f"{len(states.frames):,} states{rooms} of {origin}; {draw.SHOWN:,} of them, evenly spaced, "
+        "in the first two pictures.",
         [Section("Geometry", tables=[table]), Section("Pictures", pictures=pictures)],
     )
     return page

@@ -45,20 +45,17 @@ def evaluate(run: Path, options: Options) -> list[dict[str, Any]]:
     Raises:
       ConfigError: there is no agent to play.
     """
-    from rich.progress import Progress, TextColumn
-
     from experiments.estimates import interval
     from experiments.player import load, play
+    from experiments.progress import Bars
 
     lines = []
-    seeds, left = load(run).config.seeds, TextColumn("{task.fields[now]}")
-    with Progress(*Progress.get_default_columns(), left) as bar:
-        for seed in seeds:
+    with Bars() as bars:
+        for seed in load(run).config.seeds:
             player = load(run, seed)
-            task = bar.add_task(f"seed {seed}", total=options.episodes, now="")
 
-            def report(steps, ended, task=task):
-                bar.update(task, completed=ended, now=f"step {steps:,}")
+            def report(steps: int, ended: int, seed: int = seed) -> None:
+                bars.to(f"seed {seed}", ended, options.episodes, f"episodes, step {steps:,}")
 
             played = play(
                 player, options.episodes, options.policy == "greedy", options.seed, report

@@ -1,10 +1,10 @@
 """python -m experiments.novelty env=MontezumaRevenge: novelty detection with no agent (Fig. 5.11).
 
 Modules go along one long trajectory (`experiments.trajectory`), 2,700 states in order. At every
-fourth step n each takes one gradient step on 128 pairs drawn from the past, m < n; at every
-sixteenth its signal is read on four windows: the past, the near future n < m < n + 128, the far
-future m > n, and anywhere. Each module is written when it is done, and the same command goes on
-where it was.
+fourth step n each takes one gradient step on 128 pairs of the past, m < n (32 runs of four, as in
+the thesis' minibatches); at every 32nd its signal is read on four windows: the past, the near
+future n < m < n + 128, the far future m > n, and anywhere. Seven modules take about an hour on two
+cores; each is written when it is done, and the same command goes on where it was.
 """
 
 import json
@@ -42,7 +42,7 @@ class Options:
     algos: str = option(ALGORITHMS, "modules, by name")
     out: str = option("novelty", "where figures and numbers go")
     train_every: int = option(4, "states between gradient steps", low=1)
-    read_every: int = option(16, "states between readings", low=1)
+    read_every: int = option(32, "states between readings", low=1)
     states: int = option(2700, "of the trajectory, from its start", low=300, high=2700)
     seed: int = option(0, "of the weights and the draws", low=0, high=2**31 - 1)
 
@@ -51,8 +51,10 @@ def names_of(options: Options) -> list[str]:
     """The modules.
 
     Raises:
-      ConfigError: one does not exist, or has no signal.
+      ConfigError: one does not exist, or has no signal; the steps do not fit.
     """
+    if options.read_every % options.train_every:
+        raise ConfigError(f"read_every={options.read_every}: must be a multiple of train_every")
     names = [name.strip() for name in options.algos.split(",")]
     for name in names:
         if load(["env=MontezumaRevenge", f"algo={name}"]).algo.name == "ppo":
@@ -75,25 +77,21 @@ def done(path: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
     return stored if stored.get("settings") == wanted else None
 
 
-def advance(bar: Any, task: Any, n: int) -> None:
-    """Show that step n is done."""
-    bar.update(task, completed=n)
-
-
 def studies(options: Options, walk: Any, out: Path) -> dict[str, dict[str, Any]]:
     """Every module's study, from the disk or made now."""
 
-    from rich.progress import MofNCompleteColumn, Progress
-
+    from experiments.progress import Bars
     from experiments.study import WINDOWS, figures, study
     from experiments.trajectory import digest
 
     found = {}
-    with Progress(*Progress.get_default_columns(), MofNCompleteColumn()) as bar:
+    total = len(walk.action)
+    with Bars() as bars:
         for name in names_of(options):
             path = out / f"{name}.json"
             wanted = settings(options, name, digest(walk))
-            task = bar.add_task(name, total=len(walk.action))
+            report = partial(bars.to, name, total=total)
+            report(0)
             stored = done(path, wanted)
             if stored is None:
                 where, means = study(
@@ -102,13 +100,13 @@ def studies(options: Options, walk: Any, out: Path) -> dict[str, dict[str, Any]]
                     options.train_every,
                     options.read_every,
                     options.seed,
-                    partial(advance, bar, task),
+                    report,
                 )
                 curves = {w: means[:, i].tolist() for i, w in enumerate(WINDOWS)}
                 stored = {"settings": wanted, "figures": figures(where, means)}
                 stored |= {"n": where.tolist()} | curves
                 replace(path, json.dumps(stored) + "\n")
-            bar.update(task, completed=len(walk.action))
+            report(total)
             found[name] = stored
     return found
 

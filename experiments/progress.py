@@ -2,13 +2,18 @@
 
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
 
+from rich import progress
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
+
+T = TypeVar("T")
+QUIET_SECONDS = 10  # between two lines of one task, where there is no terminal
 
 
 def clock(seconds: float) -> str:
@@ -110,3 +115,44 @@ class Progress:
             if self.live is not None:
                 self.live.stop()
             sys.stdout.flush()
+
+
+class Bars:
+    """How far named tasks are: bars on a terminal, elsewhere a line now and then."""
+
+    def __init__(self) -> None:
+        """Nothing is under way."""
+        note = progress.TextColumn("{task.fields[note]}")
+        self.bars = progress.Progress(*progress.Progress.get_default_columns(), note)
+        self.live = self.bars.console.is_terminal
+        self.tasks: dict[str, progress.TaskID] = {}
+        self.said: dict[str, float] = {}
+
+    def __enter__(self) -> "Bars":
+        if self.live:
+            self.bars.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.live:
+            self.bars.stop()
+
+    def to(self, name: str, done: int, total: int, note: str = "") -> None:
+        """So much of a task is done; the first call begins it."""
+        if self.live:
+            if name not in self.tasks:
+                self.tasks[name] = self.bars.add_task(name, total=total, note=note)
+            self.bars.update(self.tasks[name], completed=done, total=total, note=note)
+            return
+        now = time.monotonic()
+        if done >= total or now - self.said.get(name, -QUIET_SECONDS) >= QUIET_SECONDS:
+            self.said[name] = now
+            with suppress(OSError):
+                print(" ".join(f"{name}: {done:,} of {total:,} {note}".split()), flush=True)
+
+    def over(self, name: str, items: Sequence[T]) -> Iterator[T]:
+        """The items, one after another."""
+        for i, item in enumerate(items):
+            self.to(name, i, len(items))
+            yield item
+        self.to(name, len(items), len(items))

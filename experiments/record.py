@@ -5,8 +5,9 @@ a mark at now. Written to RUN_DIR/films/: an mp4 (VP9) and a PNG of the most nov
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ class Options:
     episodes: int = option(8, "of which the best is filmed", low=1, high=1024)
     policy: str = option("sampled", "how actions are taken", choices=("sampled", "greedy"))
     seed: int = option(0, "of the environments", low=0, high=2**31 - 1)
-    agent: int | None = option(None, "the seed of the run whose agent plays; default its first")
+    agent: int = option(-1, "the seed of the run whose agent plays; -1: its first", low=-1)
     steps: int = option(0, "film the first steps alone; 0: all", low=0)
     rate: int = option(30, "agent steps per second", low=1, high=240)
     out: str | None = option(None, "where the files go; default RUN_DIR/films")
@@ -84,17 +85,18 @@ def frames_of(
         yield np.concatenate([game, marked], axis=1)
 
 
-def write_film(path: Path, frames: Iterator[np.ndarray], rate: int, count: int) -> int:
+def write_film(
+    path: Path, frames: Iterator[np.ndarray], rate: int, report: Callable[[int], None]
+) -> int:
     """Write an mp4; the number of frames in it.
 
     Raises:
       OSError: it cannot be written.
     """
     import cv2
-    from rich.progress import track
 
     writer, written = None, 0
-    for frame in track(frames, "filming", total=count):
+    for frame in frames:
         if writer is None:
             size = frame.shape[1], frame.shape[0]
             writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), rate, size)
@@ -102,6 +104,7 @@ def write_film(path: Path, frames: Iterator[np.ndarray], rate: int, count: int) 
                 raise OSError(f"cannot write {path}")
         writer.write(frame[..., ::-1])
         written += 1
+        report(written)
     if writer is not None:
         writer.release()
     return written
@@ -142,46 +145,44 @@ def record(run: Path, options: Options) -> list[Path]:
       ConfigError: there is no agent to play, or its task cannot be drawn.
       OSError: the files cannot be written.
     """
-    from rich.console import Console
-
     from experiments.player import load, novelty, pictures, play
+    from experiments.progress import Bars
 
-    console = Console()
-    player = load(run, options.agent)
-    with console.status("playing") as status:
+    player = load(run, None if options.agent < 0 else options.agent)
+    with Bars() as bars:
         played = play(
             player,
             options.episodes,
             options.policy == "greedy",
             options.seed,
-            lambda t, n: status.update(f"playing: step {t:,}, {n} of {options.episodes} at an end"),
+            lambda t, n: bars.to("playing", n, options.episodes, f"episodes, step {t:,}"),
         )
-    episode = played[best_of(played)]
-    console.print(
+        episode = played[best_of(played)]
+        signal = novelty(player, episode)
+        length = min(options.steps or len(signal), len(signal))
+        signal = signal[:length]
+        heads = ["external", "intrinsic"][: episode.value.shape[1]]
+        side, columns = traces(episode, signal, heads)
+        out = Path(options.out) if options.out else run / "films"
+        out.mkdir(parents=True, exist_ok=True)
+        name = f"seed-{player.seed}-iteration-{player.iteration}"
+        wanted = set(most_novel(signal).tolist())
+        shown: dict[int, np.ndarray] = {}
+
+        def kept() -> Iterator[np.ndarray]:
+            for step, picture in enumerate(pictures(player, episode)):
+                if step in wanted:
+                    shown[step] = picture.copy()
+                yield picture
+
+        film = out / f"{name}.mp4"
+        frames = frames_of(kept(), side, columns)
+        write_film(film, frames, options.rate, partial(bars.to, "filming", total=length))
+        sheet = contact_sheet(shown, signal, out / f"{name}-most-novel")
+    print(
         f"the best of {len(played)}: return {episode.reward.sum():g}, score "
         f"{episode.score.sum():g}, {len(episode.action):,} steps"
     )
-    with console.status("reading its novelty"):
-        signal = novelty(player, episode)
-    length = min(options.steps or len(signal), len(signal))
-    signal = signal[:length]
-    heads = ["external", "intrinsic"][: episode.value.shape[1]]
-    side, columns = traces(episode, signal, heads)
-    out = Path(options.out) if options.out else run / "films"
-    out.mkdir(parents=True, exist_ok=True)
-    name = f"seed-{player.seed}-iteration-{player.iteration}"
-    wanted = set(most_novel(signal).tolist())
-    shown: dict[int, np.ndarray] = {}
-
-    def kept() -> Iterator[np.ndarray]:
-        for step, picture in enumerate(pictures(player, episode)):
-            if step in wanted:
-                shown[step] = picture.copy()
-            yield picture
-
-    film = out / f"{name}.mp4"
-    write_film(film, frames_of(kept(), side, columns), options.rate, length)
-    sheet = contact_sheet(shown, signal, out / f"{name}-most-novel")
     return [film, sheet]
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from experiments.arguments import read, usage
 from experiments.options import ConfigError, option
@@ -25,68 +26,64 @@ class Options:
     live: bool = option(False, "write it again every half minute, until Ctrl-C")
 
 
-def sections(places: list[Path], out: Path):
-    """The parts of the page.
-
-    Raises:
-      ConfigError: there is nothing to report.
-    """
-    from rich.progress import track
-
+def of_environment(env: str, groups: list[Any], out: Path) -> Any:
+    """The curves of one environment."""
     from experiments.curves import QUANTITIES, draw
-    from experiments.finished import find, grouped
+    from experiments.page import Section
+
+    seeds = [seed for group in groups for seed in group.seeds]
+    scored = any((seed.episodes["score"] != seed.episodes["ext_return"]).any() for seed in seeds)
+    pictures = []
+    for quantity in ("return", *(["score"] if scored else []), "intrinsic", "rooms"):
+        picture = draw(groups, quantity, env, out, f"{env}-{quantity}")
+        if picture is not None:
+            pictures.append((picture, f"{env}: {QUANTITIES[quantity].axis}"))
+    return Section(env, pictures=pictures)
+
+
+def of_runs(runs: list[Any]) -> Any:
+    """A table of what was read."""
     from experiments.page import Section, Table
+
+    head = ["run", "environment", "algorithm", "seeds", "steps per seed", "finished"]
+    rows = []
+    for run in runs:
+        config = run.config
+        whole = run.steps >= config.iterations * config.rows
+        name = [str(run.path), config.env.name, config.algo.name]
+        rows.append([*name, len(run.seeds), f"{run.steps:,}", "yes" if whole else "no"])
+    return Section("Runs", tables=[Table(head, rows, name="runs")])
+
+
+def sections(runs: list[Any], left_out: list[tuple[Path, str]], out: Path) -> list[Any]:
+    """The parts of the page."""
+    from experiments.finished import grouped
+    from experiments.page import Section, Table
+    from experiments.progress import Bars
     from experiments.tables import TABLES, improvement_table, seeds_table, thesis_table
 
-    runs, left_out = find(places)
-    if not runs:
-        why = "; ".join(f"{path}: {reason}" for path, reason in left_out)
-        raise ConfigError(f"nothing to report: {why}")
     groups = grouped(runs)
-    found = []
     envs = list(dict.fromkeys(group.env for group in groups))
-    for env in track(envs, "drawing", transient=True):
-        own = [group for group in groups if group.env == env]
-        wanted = ["return", "intrinsic", "rooms"]
-        if any(
-            (seed.episodes["score"] != seed.episodes["ext_return"]).any()
-            for group in own
-            for seed in group.seeds
-        ):
-            wanted.insert(1, "score")
-        drawn = [
-            (draw(own, q, env, out, f"{env}-{q}"), f"{env}: {QUANTITIES[q].axis}") for q in wanted
-        ]
-        found.append(Section(env, pictures=[(p, about) for p, about in drawn if p is not None]))
-    if groups:
-        tables = [thesis_table(table, groups) for table in TABLES]
-        found.append(
-            Section(
-                "Beside the thesis",
-                "Ours over the runs given, with how many seeds and steps they have; its own after "
-                "128 million (Atari) or 64 million steps (Procgen). ± is the deviation over runs. "
-                "What was not run is empty.",
-                tables=tables,
-            )
-        )
-        found.append(Section("Over seeds", tables=[seeds_table(groups), improvement_table(groups)]))
-    listed = [
-        [
-            str(run.path),
-            run.config.env.name,
-            run.config.algo.name,
-            len(run.seeds),
-            f"{run.steps:,}",
-            "yes" if run.steps >= run.config.iterations * run.config.rows else "no",
-        ]
-        for run in runs
+    with Bars() as bars:
+        own = lambda env: [group for group in groups if group.env == env]
+        found = [of_environment(env, own(env), out) for env in bars.over("drawing", envs)]
+    return [
+        *found,
+        Section(
+            "Beside the thesis",
+            "Ours is over the runs given, of as many seeds and steps as stand beside it; the "
+            "thesis' after 128 million steps (Atari) or 64 million (Procgen). ± is the deviation "
+            "over runs. What was not run is empty.",
+            tables=[thesis_table(table, groups) for table in TABLES],
+        ),
+        Section("Over seeds", tables=[seeds_table(groups), improvement_table(groups)]),
+        of_runs(runs),
+        *(
+            [Section("Left out", tables=[Table(["directory", "why"], left_out)])]
+            if left_out
+            else []
+        ),
     ]
-    head = ["run", "environment", "algorithm", "seeds", "steps per seed", "finished"]
-    found.append(Section("Runs", tables=[Table(head, listed, name="runs")]))
-    if left_out:
-        rows = [[str(path), reason] for path, reason in left_out]
-        found.append(Section("Left out", tables=[Table(["directory", "why"], rows)]))
-    return found, left_out
 
 
 def main(arguments: list[str]) -> int:
@@ -111,17 +108,23 @@ def main(arguments: list[str]) -> int:
 
 
 def write(places: list[Path], out: Path, live: bool) -> None:
-    """The page as of now."""
+    """The page as of now.
+
+    Raises:
+      ConfigError: there is nothing to report.
+    """
+    from experiments.finished import find
     from experiments.page import write_page
 
-    out.mkdir(parents=True, exist_ok=True)
-    found, left_out = sections(places, out)
+    runs, left_out = find(places)
     for path, reason in left_out:
         print(f"left out: {path}: {reason}")
+    if not runs:
+        raise ConfigError(f"nothing to report in {', '.join(map(str, places))}")
     lead = f"{time.strftime('%Y-%m-%d %H:%M')}. A step is one agent step of one environment; an "
     lead += "Atari step is four emulator frames."
     page = out / "index.html"
-    write_page(page, "sndjax report", lead, found, EVERY if live else 0)
+    write_page(page, "sndjax report", lead, sections(runs, left_out, out), EVERY if live else 0)
     print(f"page: {page.resolve()}", flush=True)
 
 

@@ -2,21 +2,24 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax import lax
 
 import sndjax
 from experiments.agents import motivation_of
 from experiments.config import load
 from experiments.trajectory import LETTERS, Walk
-from sndjax import Rollout, transitions
+from sndjax import Rollout, consecutive
 
 WINDOWS = ("past", "near", "far", "random")
-SIZE = 128  # pairs of a minibatch, states of a window, and how far the near future reaches
+NEAR = 128  # steps that the near future reaches ahead
+DRAWN = 64  # states that each of the other windows draws
+STEPS, RUNS = 4, 32  # a minibatch: so many runs of so many consecutive pairs
 
 
 class Learner(NamedTuple):
@@ -27,28 +30,26 @@ class Learner(NamedTuple):
     state: Any
 
 
-def pairs(walk: Walk, index: np.ndarray) -> Rollout:
-    """The pairs (s_m, s_m+1) of some m, int[N], as a rollout of one step."""
-    frames = np.stack([walk.frames[index], walk.frames[index + 1]])
-    rows = (1, len(index))
-    no, yes = np.zeros(rows, bool), np.ones(rows, bool)
-    action = walk.action[index][None]
-    return jax.tree.map(jnp.asarray, Rollout(*cast(Any, (frames, action, no, no, yes))))
+def runs_of(walk: Walk, start: np.ndarray, steps: int) -> Rollout:
+    """Runs of consecutive pairs from each start m, int[..., N], as a rollout [..., steps, N]."""
+    index = start[..., None, :] + np.arange(steps + 1)[:, None]
+    pairs = index[..., :-1, :]
+    no, yes = np.zeros(pairs.shape, bool), np.ones(pairs.shape, bool)
+    parts: Any = (walk.frames[index], walk.action[pairs], no, no, yes)
+    return jax.tree.map(jnp.asarray, Rollout(*parts))
 
 
-def windows_of(n: int, last: int, draw: np.random.Generator) -> np.ndarray:
-    """Which pairs each window reads at step n, int[4, SIZE], of the pairs 0 ... last.
+def windows_of(n: int, last: int, draw: np.random.Generator) -> list[np.ndarray]:
+    """Which pairs each of `WINDOWS` reads at step n, of the pairs 0 ... last.
 
-    The near future is all of its states (and one twice); of the others as many are drawn.
+    The near future, n < m < n + 128, is all there; of the others some are drawn.
     """
-    return np.stack(
-        [
-            draw.integers(0, n, SIZE),
-            n + 1 + np.arange(SIZE) % (SIZE - 1),
-            draw.integers(n + 1, last + 1, SIZE),
-            draw.integers(0, last + 1, SIZE),
-        ]
-    )
+    return [
+        draw.integers(0, n, DRAWN),
+        n + 1 + np.arange(NEAR - 1),
+        draw.integers(n + 1, last + 1, DRAWN),
+        draw.integers(0, last + 1, DRAWN),
+    ]
 
 
 def taking_nothing_in(state: Any) -> Any:
@@ -63,8 +64,8 @@ def taking_nothing_in(state: Any) -> Any:
     return state | {"moments": heavy}
 
 
-def steps_of(name: str) -> tuple[Any, Callable[..., Learner], Callable[..., jax.Array]]:
-    """Jitted functions of a module: to begin, to train on pairs, and to read its signal."""
+def steps_of(name: str) -> tuple[Callable[..., Learner], Callable[..., Any]]:
+    """Of a module: how it begins, and how it is trained on some minibatches and then read."""
     algo = load(["env=MontezumaRevenge", f"algo={name}"]).algo
     motivation = motivation_of(algo, len(LETTERS), sndjax.ATARI)
     module, optimizer = motivation.module, optax.adam(motivation.learning_rate)
@@ -74,22 +75,22 @@ def steps_of(name: str) -> tuple[Any, Callable[..., Learner], Callable[..., jax.
         params, state = module.init(key, example)
         return Learner(params, optimizer.init(params), state)
 
-    @partial(jax.jit, donate_argnums=0)
-    def train(learner, rollout, key):
-        params, optimizer_state, state = learner
+    def train(learner, inputs):
+        (params, optimizer_state, state), (rollout, key) = learner, inputs
         _, state = module.reward(params, state, rollout, key)  # its moments take the pairs in
-        batch = transitions(rollout, jnp.arange(rollout.action.size))
+        batch = consecutive(rollout, jnp.zeros((), jnp.int32), STEPS * RUNS)
         gradient, _ = jax.grad(module.loss, has_aux=True)(params, state, batch, rollout, key)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         params = optax.apply_updates(params, updates)
-        return Learner(params, optimizer_state, module.update(params, state))
+        return Learner(params, optimizer_state, module.update(params, state)), None
 
-    @jax.jit
-    def signal(learner, rollout, key):
+    @partial(jax.jit, donate_argnums=0)
+    def advance(learner, rollouts, keys, window, key):
+        learner, _ = lax.scan(train, learner, (rollouts, keys))
         state = taking_nothing_in(learner.state)
-        return module.reward(learner.params, state, rollout, key)[0][0]
+        return learner, module.reward(learner.params, state, window, key)[0][0]
 
-    return begin, train, signal
+    return begin, advance
 
 
 def study(
@@ -105,28 +106,37 @@ def study(
     Args:
       name: of an algorithm.
       walk: the trajectory, M states.
-      train_every, read_every: states between gradient steps, and between readings.
+      train_every, read_every: states between gradient steps, and between readings; the one
+        divides the other.
       seed: of the weights and the draws.
       report: called with the step n.
 
     Returns:
       Where the signal was read, int[R], and its mean in each of `WINDOWS`, float[R, 4].
     """
-    begin, train, signal = steps_of(name)
+    begin, advance = steps_of(name)
     draw, key = np.random.default_rng(seed), jax.random.key(seed)
     learner, last = begin(key, walk.frames[:1]), len(walk.action) - 1
-    where, means = [], []
-    for n in range(1, last - SIZE):
-        if n % train_every == 0:
-            rollout = pairs(walk, draw.integers(0, n, SIZE))
-            learner = train(learner, rollout, jax.random.fold_in(key, n))
-        if n % read_every == 0:
-            index = windows_of(n, last, draw)
-            found = signal(learner, pairs(walk, index.reshape(-1)), jax.random.fold_in(key, n))
-            where.append(n)
-            means.append(np.asarray(found).reshape(index.shape).mean(1))
+    where = np.arange(read_every, last - NEAR, read_every)
+    means = []
+    for n in where.tolist():
+        # A run of pairs m ... m + 3 ends before the state that the step stands at.
+        steps = np.arange(n - read_every + train_every, n + 1, train_every)
+        start = np.stack(
+            [draw.integers(0, max(step - STEPS, 0) + 1, RUNS) for step in steps.tolist()]
+        )
+        windows = windows_of(n, last, draw)
+        learner, found = advance(
+            learner,
+            runs_of(walk, start, STEPS),
+            jax.random.split(jax.random.fold_in(key, n), len(steps)),
+            runs_of(walk, np.concatenate(windows), 1),
+            jax.random.fold_in(key, n),
+        )
+        ends = np.cumsum([len(window) for window in windows])[:-1]
+        means.append([part.mean() for part in np.split(np.asarray(found), ends)])
         report(n)
-    return np.array(where), np.array(means)
+    return where, np.array(means)
 
 
 def figures(where: np.ndarray, means: np.ndarray) -> dict[str, float]:

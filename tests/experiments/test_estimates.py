@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from experiments.estimates import improvement, interquartile_mean, interval, on_grid, smoothed
+
+
+def test_an_interval_holds_the_mean_as_often_as_it_says():
+    draw = np.random.default_rng(0)
+    covered = 0
+    for _ in range(200):
+        low, high = interval(draw.normal(size=30))
+        covered += low < 0 < high
+    # The percentile bootstrap of 30 is a little short; 0.90 to 0.98 is four binomial deviations.
+    assert 180 <= covered <= 196
+
+
+def test_an_interval_of_a_curve_is_that_of_each_point():
+    values = np.random.default_rng(1).normal(size=(6, 3))
+    low, high = interval(values)
+    assert low.shape == high.shape == (3,)
+    exact = stats.norm.ppf(0.975) * values.std(0) / np.sqrt(6)
+    np.testing.assert_allclose((high - low) / 2, exact, rtol=0.2)
+
+
+def test_one_seed_has_no_interval():
+    assert interval(np.array([1.0])) is None
+
+
+def test_the_interquartile_mean_leaves_a_quarter_out_on_each_side():
+    values = np.random.default_rng(2).permutation(np.arange(12.0) ** 2)
+    assert interquartile_mean(values) == np.mean(np.arange(3.0, 9) ** 2)
+
+
+def test_improvement_by_counting():
+    draw = np.random.default_rng(3)
+    ours, theirs = draw.integers(0, 4, 7).astype(float), draw.integers(0, 4, 5).astype(float)
+    counted = [(x > y) + (x == y) / 2 for x in ours for y in theirs]
+    assert improvement(ours, theirs) == pytest.approx(np.mean(counted))
+    assert improvement(np.zeros(3), np.zeros(2)) == 0.5
+
+
+def test_smoothing_is_the_recursion():
+    values = np.random.default_rng(4).normal(size=50)
+    wanted, last = [], values[0]
+    for x in values:
+        last = 0.99 * last + 0.01 * x
+        wanted.append(last)
+    np.testing.assert_allclose(smoothed(values), wanted)
+    assert not len(smoothed(np.array([])))
+
+
+def test_a_grid_ends_where_the_first_curve_does_and_begins_where_all_have():
+    steps, values = on_grid([(np.array([2, 8]), np.array([1, 5])), (np.array([0, 6]), [0, 1])], 5)
+    np.testing.assert_array_equal(steps, [2, 3, 4, 5, 6])
+    np.testing.assert_array_equal(values, [[1, 1, 1, 1, 1], [0, 0, 0, 0, 1]])
