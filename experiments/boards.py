@@ -6,6 +6,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
@@ -35,6 +37,22 @@ class Boards:
         ]
         event = Event(step=line["step"], wall_time=when, summary=Summary(value=values))
         self.writers[line["seed"]].write_event(event)
+
+    def look(
+        self, seed: int, step: int, image: np.ndarray | None, figures: dict[str, float]
+    ) -> None:
+        """What is looked at now and then: an image, and figures that no log holds."""
+        values = [Summary.Value(tag=key, simple_value=value) for key, value in figures.items()]
+        if image is not None:
+            height, width, colours = image.shape
+            _, png = cv2.imencode(".png", image)
+            shown = Summary.Image(
+                height=height, width=width, colorspace=colours, encoded_image_string=png.tobytes()
+            )
+            values.append(Summary.Value(tag="most_novel", image=shown))
+        if values:
+            event = Event(step=step, wall_time=time.time(), summary=Summary(value=values))
+            self.writers[seed].write_event(event)
 
     def flush(self) -> None:
         """Hand what was written to the system."""

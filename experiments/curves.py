@@ -35,8 +35,8 @@ def over_iterations(figure: str) -> Callable[[Seed], Curve | None]:
 
     def of(seed: Seed) -> Curve | None:
         values = seed.metrics.get(figure)
-        if values is None or not np.isfinite(values).any():
-            return None
+        if values is None or not np.nan_to_num(values).any():
+            return None  # of the baseline's novelty, say
         there = np.isfinite(values)
         return seed.metrics["step"][there], values[there]
 

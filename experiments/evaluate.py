@@ -87,11 +87,9 @@ def main(arguments: list[str]) -> int:
         for name in ("return", "score", "length", "rooms"):
             if name in line:
                 found = line[name]
-                low, high = found.get("interval", (float("nan"),) * 2)
-                print(
-                    f"  {name:<8} {found['mean']:>10.3f}  95% {low:.3f} to {high:.3f}  "
-                    f"best {found['max']:.3f}"
-                )
+                ends = found.get("interval")
+                band = f"  95% {ends[0]:.3f} to {ends[1]:.3f}" if ends else ""
+                print(f"  {name:<8} {found['mean']:>10.3f}{band}  most {found['max']:.3f}")
     print(json.dumps({"policy": options.policy, "episodes": options.episodes, "seeds": lines}))
     return 0
 

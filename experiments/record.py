@@ -129,7 +129,9 @@ def contact_sheet(pictures: dict[int, np.ndarray], novelty: np.ndarray, out: Pat
     """The most novel frames with their steps and their signal, as a PNG."""
     from experiments.style import panels, save
 
-    figure, axes = panels(-(-len(pictures) // 4), 4, 8.4, 2.6 * -(-len(pictures) // 4))
+    height, width = next(iter(pictures.values())).shape[:2]
+    rows = -(-len(pictures) // 4)
+    figure, axes = panels(rows, 4, 8.4, rows * (2.1 * height / width + 0.3))
     for one in axes.flat:
         one.axis("off")
     for one, (step, picture) in zip(axes.flat, pictures.items(), strict=False):

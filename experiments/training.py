@@ -17,6 +17,7 @@ from experiments.directory import Directory
 from experiments.environments import make_pools
 from experiments.episodes import Episodes
 from experiments.estimate import seconds
+from experiments.glimpses import Glimpses
 from experiments.interrupts import Interrupted, Interrupts
 from experiments.options import Config, ConfigError
 from experiments.process import keep_compilations, return_freed_memory, rss_mb
@@ -50,6 +51,7 @@ class Run:
         )
         self.pool = pools[0]
         self.agent = build(config, self.pool)
+        self.glimpses = Glimpses(self.agent)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
         self.fresh = lambda: first_states(self.agent, self.seeds, example)
         try:
@@ -170,6 +172,7 @@ class Run:
                     progress.say(warning)
             due = self.done % config.checkpoint_every == 0 or gone > LONG_SECONDS
             if due or time.monotonic() - self.saved > CHECKPOINT_SECONDS:
+                self.glimpses.look(self.records.boards, self.seeds, self.state, batch, int_reward)
                 self.save()
         self.save()
         progress.phase("saving")

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from runs import made
+from handmade import made
 
 from experiments.finished import find, grouped, read_run
 

@@ -1,0 +1,89 @@
+"""What TensorBoard shows now and then: the most novel frames, and how features spread."""
+
+from functools import partial
+from typing import Any
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sndjax
+from experiments.boards import Boards
+from experiments.geometry import COMPARED, PERCENTILES, eigenvalues
+from sndjax.acting import scale_vectors
+
+STRIP, SIDE = 6, 160  # frames side by side, and their height in pixels
+
+
+def highest(reward: np.ndarray, valid: np.ndarray) -> list[tuple[int, int]]:
+    """(t, n) of the highest rewards [T, N], one of each environment, the highest first.
+
+    >>> highest(np.array([[1.0, 5.0], [2.0, 7.0]]), np.array([[True, True], [True, False]]))
+    [(0, 1), (1, 0)]
+    """
+    seen = np.where(valid, reward, -np.inf)
+    best = seen.argmax(0)
+    envs = np.argsort(-seen.max(0), kind="stable")[:STRIP]
+    return [(int(best[n]), int(n)) for n in envs if np.isfinite(seen[best[n], n])]
+
+
+def strip(frames: list[np.ndarray]) -> np.ndarray:
+    """Images side by side, enlarged, as OpenCV has its colours: uint8[SIDE, *, 3]."""
+    wide = []
+    for frame in frames:
+        image = np.repeat(frame[..., -1:], 3, -1) if frame.shape[-1] != 3 else frame[..., ::-1]
+        size = (round(SIDE * image.shape[1] / image.shape[0]), SIDE)
+        wide.append(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST))
+    return np.concatenate(wide, axis=1)
+
+
+def most_novel(rollout: sndjax.Rollout, reward: np.ndarray) -> np.ndarray | None:
+    """The most novel frames of a rollout [T, N] as one image; None of vectors."""
+    if rollout.frames.dtype != np.uint8:
+        return None
+    places = highest(reward, np.asarray(rollout.valid))
+    return strip([np.asarray(rollout.frames[t, n]) for t, n in places]) if places else None
+
+
+class Glimpses:
+    """Looks at one seed after another; what it compiles is kept."""
+
+    def __init__(self, agent: sndjax.Agent):
+        """Nothing was looked at yet."""
+        self.agent = agent
+        read = agent.motivation.module.features if agent.motivation else None
+        self.encode = None if read is None else jax.jit(partial(self.features, read))
+
+    def look(self, boards: Boards, seeds: list[int], state: Any, batch: Any, reward: Any) -> None:
+        """Show TensorBoard what the last rollout's novelty was about; leaves are [S, ...]."""
+        if self.agent.motivation is None:
+            return
+        read = state._replace(policy=(), policy_optimizer=(), intrinsic_optimizer=(), key=())
+        for i, seed in enumerate(seeds):
+            own, rollout = jax.tree.map(lambda x, i=i: x[i], (read, batch.rollout))
+            step = int(own.iteration) * rollout.action.size
+            image = most_novel(rollout, reward[i])
+            boards.look(seed, step, image, self.spread(own, rollout))
+
+    def features(self, read: Any, state: sndjax.TrainState, frames: Any, action: Any) -> Any:
+        """The encoder's, [B, d]."""
+        seen = scale_vectors(frames, state.observations, self.agent.unbounded)
+        return read(state.intrinsic, state.intrinsic_state, seen, action)
+
+    def spread(self, state: sndjax.TrainState, rollout: sndjax.Rollout) -> dict[str, float]:
+        """Percentiles of the eigenvalues of features, evenly taken from a rollout [T, N]."""
+        if self.encode is None:
+            return {}
+        rows = np.flatnonzero(np.asarray(rollout.valid))
+        if not len(rows):
+            return {}
+        count = min(COMPARED, rollout.action.size)
+        t, n = np.divmod(
+            rows[np.linspace(0, len(rows) - 1, count).astype(int)], rollout.action.shape[1]
+        )
+        z = np.asarray(self.encode(state, jnp.asarray(rollout.frames[t, n]), rollout.action[t, n]))
+        if not np.isfinite(z).all():
+            return {}
+        found = np.percentile(eigenvalues(z), PERCENTILES)
+        return {f"eigenvalue_q{p}": float(x) for p, x in zip(PERCENTILES, found, strict=True)}

@@ -1,0 +1,181 @@
+"""Trained agents read back: evaluated, filmed and analysed."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments import analyze, evaluate, record
+from experiments.options import ConfigError
+from experiments.player import load, novelty, pictures, play
+from experiments.states import States, collected, features, torso
+from sndjax import Rollout
+from sndjax.rollout import channels, push
+
+ROOT = Path(__file__).parents[2]
+CAR = ["env=MountainCar", "num_envs=8", "rollout_length=32", "ppo.minibatch_size=128"]
+CAR += ["algo.minibatch_size=128", "num_seeds=2", "total_steps=1000"]
+PIXELS = ["env=MontezumaRevenge", "num_envs=4", "rollout_length=16", "ppo.minibatch_size=64"]
+PIXELS += ["algo.minibatch_size=64", "ppo.epochs=1", "total_steps=64"]
+
+
+def trained(path, *arguments):
+    command = [sys.executable, "-m", "experiments.run", *arguments, f"run_dir={path}"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(command, env=environment, check=True, capture_output=True, timeout=300)
+    return path
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("car") / "run", *CAR, "algo=snd_vic")
+
+
+@pytest.fixture(scope="module")
+def pixels(tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("pixels") / "run", *PIXELS, "algo=rnd")
+
+
+def test_a_greedy_player_plays_the_same_again(car):
+    player = load(car, seed=1)
+    assert player.seed == 1
+    first, again = (play(player, 3, greedy=True, seed=5) for _ in range(2))
+    jax.tree.map(np.testing.assert_array_equal, first, again)
+    assert {len(episode.action) for episode in first} == {200}  # MountainCar's limit
+    assert all(episode.reward.sum() == 0 for episode in first)
+    assert all(episode.score.sum() == -200 for episode in first)
+
+
+def test_the_likeliest_action_is_taken(car):
+    player = load(car)
+    (episode,) = play(player, 1, greedy=True)
+    logits, value = player.agent.network.apply(
+        player.state.policy, jnp.asarray(episode.frames[:-1])
+    )
+    np.testing.assert_array_equal(episode.action, jnp.argmax(logits, -1))
+    np.testing.assert_allclose(episode.value, value, rtol=1e-4, atol=1e-5)
+
+
+def test_novelty_is_the_modules_reward(car):
+    player = load(car)
+    (episode,) = play(player, 1)
+    steps = len(episode.action)
+    edge = np.arange(steps)[:, None]
+    rollout = Rollout(
+        jnp.asarray(episode.frames[:, None]),
+        jnp.asarray(episode.action[:, None]),
+        jnp.asarray(edge == 0),
+        jnp.asarray(edge == steps - 1),
+        jnp.ones((steps, 1), bool),
+    )
+    module, state = player.agent.motivation.module, player.state
+    wanted, _ = module.reward(state.intrinsic, state.intrinsic_state, rollout, jax.random.key(0))
+    np.testing.assert_allclose(novelty(player, episode), wanted[:, 0], rtol=1e-4)
+
+
+def test_a_film_is_drawn_of_the_same_episode(car):
+    player = load(car)
+    episode = play(player, 2, seed=3)[1]
+    drawn = list(pictures(player, episode))
+    assert len(drawn) == len(episode.frames)
+    assert drawn[0].shape == (400, 600, 3)
+    other = episode._replace(frames=episode.frames + 1)
+    with pytest.raises(ConfigError, match="otherwise"):
+        list(pictures(player, other))
+
+
+def test_evaluate(car, capsys):
+    assert evaluate.main([str(car), "episodes=3"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert [line["seed"] for line in found["seeds"]] == [0, 1]
+    for seed, line in enumerate(found["seeds"]):
+        scores = [e.score.sum() for e in play(load(car, seed), 3)]
+        assert line["score"]["mean"] == pytest.approx(np.mean(scores))
+        low, high = line["score"]["interval"]
+        assert min(scores) <= low <= high <= max(scores)
+
+
+def test_record(pixels, tmp_path):
+    run = [str(pixels), "episodes=2", "steps=30", f"out={tmp_path}"]
+    assert record.main(run) == 0
+    (film,), (sheet,) = tmp_path.glob("*.mp4"), tmp_path.glob("*.png")
+    reader = cv2.VideoCapture(str(film))
+    frames = []
+    while True:
+        there, frame = reader.read()
+        if not there:
+            break
+        frames.append(frame)
+    assert len(frames) == 30
+    assert frames[0].shape[0] == record.HEIGHT
+    # Red is where the mark is: it goes to the right.
+    redness = [f[:, -record.SIDE :].astype(int) @ [0, -1, 1] for f in (frames[2], frames[-2])]
+    left, right = (red.sum(0).argmax() for red in redness)
+    assert left < right - 100
+    assert cv2.imread(str(sheet)) is not None
+
+
+def test_the_torso_sees_the_stacks_that_acting_makes(pixels):
+    player = load(pixels)
+    draw = np.random.default_rng(0)
+    frames = draw.integers(0, 256, (7, 96, 96, 1), np.uint8)
+    age = np.array([0, 1, 2, 3, 4, 0, 1])
+    found = torso(player, States(frames, np.zeros(7, np.int32), age, None))
+    window = jnp.zeros((4, 1, 96, 96, 1), jnp.uint8)
+    for t in range(7):
+        window = push(window, jnp.asarray(frames[t][None]), jnp.array([age[t] == 0]), True)
+        _, kept = player.agent.network.apply(
+            player.state.policy, channels(window), capture_intermediates=True
+        )
+        wanted = kept["intermediates"]["Dense_0"]["__call__"][0][0]
+        np.testing.assert_allclose(found[t], wanted, rtol=2e-3, atol=1e-4)
+
+
+def test_states_follow_one_another_inside_episodes_alone(car):
+    player = load(car)
+    states = collected(player, 450, seed=0)
+    assert len(states.frames) == 450
+    assert states.room is None
+    assert np.flatnonzero(~states.follows).tolist() == [199, 399]
+    z = features(player, states)
+    (episode, *_) = play(player, 4)
+    np.testing.assert_array_equal(states.frames[:200], episode.frames[:200])
+    module, state = player.agent.motivation.module, player.state
+    some = jnp.asarray(episode.frames[:5])
+    wanted = module.features(state.intrinsic, state.intrinsic_state, some)
+    np.testing.assert_allclose(z[:5], wanted, rtol=1e-4, atol=1e-5)
+
+
+def test_analyze_the_trajectory(pixels, tmp_path, capsys):
+    out = tmp_path / "out"
+    given = [str(pixels), "trajectory=true", "states=120", f"out={out}"]
+    assert analyze.main(given) == 0, capsys.readouterr().err
+    names = {path.name for path in out.iterdir()}
+    for name in ("distances", "tsne", "eigenvalues"):
+        assert {f"{name}.png", f"{name}.svg"} <= names
+    rows = (out / "geometry.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows[1:]] == ['"RND', '"RND', '"RND']
+    assert "1.93 ± 1.15" in rows[-1]  # Table 5.9
+
+
+@pytest.mark.parametrize("command", [analyze, evaluate, record])
+def test_bad_input(command, car, pixels, tmp_path, capsys):
+    assert command.main([str(tmp_path)]) == 2
+    assert "there is no run" in capsys.readouterr().err
+    assert command.main([str(car), "nothing=1"]) == 2
+    assert command.main([str(car), str(pixels)]) == 2
+    err = capsys.readouterr().err
+    assert ("different environments" in err) or ("one run directory" in err)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for name in ("config.yaml", "metrics.jsonl", "episodes.csv"):
+        (empty / name).write_bytes((car / name).read_bytes())
+    assert command.main([str(empty)]) == 2
+    assert "there is no checkpoint" in capsys.readouterr().err
