@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.bench import Clock, processor, say
 from experiments.estimate import operations
 from experiments.process import before_jax
+from experiments.timing import Clock, processor, say
 from experiments.versions import versions
 from sndjax import ATARI, ActorCritic, convolution
 

@@ -81,7 +81,7 @@ def studies(options: Options, walk: Any, out: Path) -> dict[str, dict[str, Any]]
     """Every module's study, from the disk or made now."""
 
     from experiments.progress import Bars
-    from experiments.study import WINDOWS, figures, study
+    from experiments.study import WINDOWS, study
     from experiments.trajectory import digest
 
     found = {}
@@ -103,8 +103,7 @@ def studies(options: Options, walk: Any, out: Path) -> dict[str, dict[str, Any]]
                     report,
                 )
                 curves = {w: means[:, i].tolist() for i, w in enumerate(WINDOWS)}
-                stored = {"settings": wanted, "figures": figures(where, means)}
-                stored |= {"n": where.tolist()} | curves
+                stored = {"settings": wanted, "n": where.tolist()} | curves
                 replace(path, json.dumps(stored) + "\n")
             report(total)
             found[name] = stored
@@ -115,7 +114,7 @@ def peaks(n: list[int], near: list[float]) -> np.ndarray:
     """The steps at which the near future was most novel, in order: where its logarithm peaks."""
     from scipy.signal import find_peaks
 
-    where, how = find_peaks(np.log(near), prominence=0.05, distance=4)
+    where, how = find_peaks(np.log(near), prominence=0.05, distance=3)
     most = where[np.argsort(how["prominences"])[::-1][:PEAKS]]
     return np.array(n)[np.sort(most)]
 
@@ -158,14 +157,26 @@ def first_visits(walk: Any) -> list[int]:
     return sorted(int(step) + 1 for step in first)[1:]
 
 
-def table_rows(found: dict[str, dict[str, Any]]) -> list[list[str]]:
+HEAD = (
+    "module",
+    "far / past",
+    "the same, last quarter",
+    "near: last / first quarter",
+    "a new room ahead",
+)
+
+
+def table_rows(found: dict[str, dict[str, Any]], walk: Any) -> list[list[str]]:
     """The claim in numbers, a row a module."""
+    from experiments.study import WINDOWS, figures
     from experiments.style import label
 
-    return [
-        [label(name), *(f"{value:.2f}" for value in stored["figures"].values())]
-        for name, stored in found.items()
-    ]
+    rows = []
+    for name, stored in found.items():
+        means = np.array([stored[window] for window in WINDOWS]).T
+        numbers = figures(np.array(stored["n"]), means, first_visits(walk))
+        rows.append([label(name), *(f"{value:.2f}" for value in numbers.values())])
+    return rows
 
 
 def main(arguments: list[str]) -> int:
@@ -193,8 +204,11 @@ def main(arguments: list[str]) -> int:
     walk = Walk(whole.frames[:cut], whole.action[: cut - 1], whole.room[: cut - 1])
     found = studies(options, walk, out)
     pictures = [(draw(name, stored, walk, out), name) for name, stored in found.items()]
-    head = ["module", "far / past", "near / past", "near: last / first quarter"]
-    table = Table(head, table_rows(found), "Means over the trajectory", "novelty")
+    caption = (
+        "The last column: how probably near / past is higher at a step with a new room in the "
+    )
+    caption += "near future than at one without (0.5 is chance)"
+    table = Table(HEAD, table_rows(found, walk), caption, "novelty")
     visits = first_visits(walk)
     write_page(
         out / "index.html",
@@ -204,7 +218,7 @@ def main(arguments: list[str]) -> int:
         "steps on.",
         [Section("In numbers", tables=[table]), Section("Module by module", pictures=pictures)],
     )
-    print("\n".join("  ".join(f"{cell:<12}" for cell in row) for row in [head, *table.rows]))
+    print("\n".join("  ".join(f"{cell:<26}" for cell in row) for row in [HEAD, *table.rows]))
     print(f"page: {(out / 'index.html').resolve()}")
     return 0
 

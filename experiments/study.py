@@ -13,6 +13,7 @@ from jax import lax
 import sndjax
 from experiments.agents import motivation_of
 from experiments.config import load
+from experiments.estimates import improvement
 from experiments.trajectory import LETTERS, Walk
 from sndjax import Rollout, consecutive
 
@@ -139,17 +140,38 @@ def study(
     return where, np.array(means)
 
 
-def figures(where: np.ndarray, means: np.ndarray) -> dict[str, float]:
+def figures(where: np.ndarray, means: np.ndarray, visits: list[int]) -> dict[str, float]:
     """What Fig. 5.11 claims, in numbers.
 
+    Args:
+      where, means: of a `study`.
+      visits: the steps at which a room is seen for the first time.
+
+    Returns:
+      far_over_past: the far future's mean over the past's, of the whole trajectory.
+      far_over_past_last_quarter: the same of its last quarter.
+      near_last_over_first: the near future's mean in the last quarter over that in the first.
+      new_room_ahead: the probability that near over past is higher at a step with a new room in
+        its near future than at one without; 0.5 is chance, NaN without such steps.
+
     >>> same = [1.0, 2.0, 4.0, 1.0]
-    >>> figures(np.arange(4), np.array([same, same, same, [1.0, 1.0, 1.0, 1.0]]))
-    {'far_over_past': 3.25, 'near_over_past': 1.75, 'near_last_over_first_quarter': 0.5}
+    >>> means = np.array([same, [1.0, 9.0, 4.0, 1.0], same, [1.0, 1.0, 1.0, 1.0]])
+    >>> for name, value in figures(np.array([0, 200, 400, 600]), means, [250]).items():
+    ...     print(name, value)
+    far_over_past 3.25
+    far_over_past_last_quarter 1.0
+    near_last_over_first 0.5
+    new_room_ahead 1.0
     """
     past, near, far, _ = means.T
     quarter = max(1, len(where) // 4)
+    ahead = np.array([any(n < visit < n + NEAR for visit in visits) for n in where.tolist()])
+    mixed = ahead.any() and not ahead.all()
     return {
         "far_over_past": float(far.mean() / past.mean()),
-        "near_over_past": float(near.mean() / past.mean()),
-        "near_last_over_first_quarter": float(near[-quarter:].mean() / near[:quarter].mean()),
+        "far_over_past_last_quarter": float(far[-quarter:].mean() / past[-quarter:].mean()),
+        "near_last_over_first": float(near[-quarter:].mean() / near[:quarter].mean()),
+        "new_room_ahead": improvement((near / past)[ahead], (near / past)[~ahead])
+        if mixed
+        else float("nan"),
     }

@@ -61,7 +61,6 @@ def test_the_command_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     stored = json.loads(first)
     assert stored["n"] == [32, 64, 96, 128, 160]
     ratio = np.mean(stored["far"]) / np.mean(stored["past"])
-    assert stored["figures"]["far_over_past"] == pytest.approx(ratio)
     for name in ("index.html", "novelty.csv", "novelty-rnd.png", "novelty-rnd.svg"):
         assert (tmp_path / "found" / name).stat().st_size
     monkeypatch.setattr("experiments.study.study", None)  # what is done is not done again
