@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.arguments import read, usage
+from experiments.arguments import TRUST, command
 from experiments.options import ConfigError, option
 from experiments.process import before_jax
-from experiments.run import refuse
 
+QUARTILES = ("Q25", "Q50", "Q75", "Q95")
 THESIS = {"step": "l2_norm", "q25": "eigenvalue_q25", "q50": "eigenvalue_q50",
           "q75": "eigenvalue_q75", "q95": "eigenvalue_q95"}  # fmt: skip
 
@@ -31,6 +31,7 @@ class Options:
     agent: str | None = option(None, "the run whose agent collects; default: the best of them")
     seed: int = option(0, "of the environments and of t-SNE", low=0, high=2**31 - 1)
     out: str = option("analysis", "where the page goes")
+    trust: str | None = option(None, TRUST)
 
 
 def check(runs: list[Path], options: Options) -> None:
@@ -40,32 +41,41 @@ def check(runs: list[Path], options: Options) -> None:
 
     if not runs:
         raise ConfigError("say which runs: python -m experiments.analyze RUN_DIR...")
-    envs = {}
+    envs = []
     for run in runs:
         if not (run / CONFIG).is_file():
             raise ConfigError(f"{run}: there is no run (no {CONFIG})")
         try:
-            envs[run] = read_run(run).config.env
+            envs.append(read_run(run).config.env)
         except ValueError as error:
             raise ConfigError(f"{run}: {error}") from None
-    ids = {env.id for env in envs.values()}
+    ids = {env.id for env in envs}
     if len(ids) > 1:
         raise ConfigError(f"these runs are of different environments: {', '.join(sorted(ids))}")
-    if options.trajectory and not min(ids).startswith("MontezumaRevenge"):
-        raise ConfigError(f"trajectory: it is of MontezumaRevenge, these runs are of {min(ids)}")
+    if any((env.options, env.stack) != (envs[0].options, envs[0].stack) for env in envs):
+        raise ConfigError("these runs see their environment differently: env.options or env.stack")
+    if options.trajectory:
+        from experiments.trajectory import conditions
+
+        seen = {**envs[0].options, "repeat_action_probability": 0.0}
+        if envs[0].id != conditions().id or seen != conditions().options:
+            raise ConfigError(f"trajectory: it is of env=MontezumaRevenge, not of {envs[0].id}")
     if options.agent is not None and Path(options.agent) not in runs:
         raise ConfigError(f"agent={options.agent}: it is none of the runs given")
 
 
-def best_of(runs: list[Path]) -> Path:
-    """The run with the highest external return over its last hundred episodes."""
+def returns_of(run: Path) -> dict[int, np.ndarray]:
+    """The external returns of the training episodes, by seed."""
     from experiments.finished import read_run
 
-    def last(run: Path) -> float:
-        returns = [seed.episodes["ext_return"][-100:] for seed in read_run(run).seeds]
-        return max((float(x.mean()) for x in returns if len(x)), default=-np.inf)
+    return {seed.seed: seed.episodes["ext_return"] for seed in read_run(run).seeds}
 
-    return max(runs, key=last)
+
+def best_of(player_returns: dict[Any, np.ndarray]) -> Any:
+    """The key with the highest return over its last hundred episodes."""
+    last = lambda key: float(np.mean(player_returns[key][-100:]))
+    there = [key for key in player_returns if len(player_returns[key])]
+    return max(there, key=last) if there else next(iter(player_returns))
 
 
 def names_of(players: list[Any]) -> list[str]:
@@ -104,29 +114,31 @@ def thesis_row(env: str, algo: str) -> list[str] | None:
     return None
 
 
-def table_of(
-    players: list[Any], names: list[str], runs: list[Path], spaces: Any, torsos: Any, states: Any
-) -> Any:
-    """Tables 5.9 and 5.10: encoder and torso of every run, and the thesis' rows."""
-    from experiments.finished import read_run
+def table_of(players: list[Any], names: list[str], most: list[float], seen: Any) -> Any:
+    """Tables 5.9 and 5.10: encoder and torso of every run, and the thesis' rows.
+
+    Args:
+      players, names: the agents.
+      most: the highest external return that each had in training.
+      seen: the states, the encoders' features and the torsos' by name.
+    """
     from experiments.geometry import COMPARED, figures
     from experiments.page import Table
     from experiments.style import label
 
+    states, encoded, torsos = seen
     rows = []
-    for player, name, run in zip(players, names, runs, strict=True):
-        returns = [seed.episodes["ext_return"] for seed in read_run(run).seeds]
-        most = max((float(x.max()) for x in returns if len(x)), default=float("nan"))
-        for kind, found in (("encoder", spaces.get(name)), ("policy torso", torsos[name])):
+    for player, name, highest in zip(players, names, most, strict=True):
+        for kind, found in (("encoder", encoded.get(name)), ("policy torso", torsos[name])):
             if found is not None:
                 own = figures(found, states.follows)
-                rows.append(row_of(f"{label(name)}, {kind}", own, most))
+                rows.append(row_of(f"{label(name)}, {kind}", own, highest))
         theirs = thesis_row(player.config.env.name, player.config.algo.name)
         if theirs is not None:
             rows.append(theirs)
-    head = ["features", "max external return", "‖z_t+1 - z_t‖", "‖z‖", "Q25", "Q50", "Q75", "Q95",
-            "rank"]  # fmt: skip
-    caption = f"Eigenvalues of the first {min(COMPARED, len(states.frames)):,} states"
+    head = ["features", "max external return", "‖z_t+1 - z_t‖", "‖z‖", *QUARTILES, "rank"]
+    count = min(COMPARED, len(states.frames))
+    caption = f"Norms and eigenvalues of the first {count:,} states, the rank of all"
     return Table(head, rows, caption, "geometry")
 
 
@@ -142,18 +154,25 @@ def analyze(runs: list[Path], options: Options) -> Path:
     from experiments.progress import Bars
     from experiments.states import collected, features, recorded, torso
 
-    out = Path(options.out)
-    out.mkdir(parents=True, exist_ok=True)
+    players, most, last = [], [], []
     with Bars() as bars:
-        players = [load(run) for run in bars.over("reading agents", runs)]
+        for run in bars.over("reading agents", runs):
+            agents, returns = load(run, options.trust), returns_of(run)
+            best = best_of(returns)
+            players.append(next(player for player in agents if player.seed == best))
+            most.append(float(returns[best].max()) if len(returns[best]) else float("nan"))
+            last.append(returns[best])
         names = names_of(players)
+        out = Path(options.out)
+        out.mkdir(parents=True, exist_ok=True)
         if options.trajectory:
             bars.to("replaying the trajectory", 0, 1)
             states, origin = recorded(options.states), "the recorded trajectory"
             bars.to("replaying the trajectory", 1, 1)
         else:
-            chosen = Path(options.agent) if options.agent else best_of(runs)
-            origin = f"the agent of {chosen}"
+            best_run = runs[best_of(dict(enumerate(last)))]
+            chosen = Path(options.agent) if options.agent else best_run
+            origin = f"the agent of {chosen}, seed {players[runs.index(chosen)].seed}"
             report = partial(bars.to, "collecting states", total=options.states)
             states = collected(players[runs.index(chosen)], options.states, options.seed, report)
         encoded, torsos, algos = {}, {}, {}
@@ -162,6 +181,8 @@ def analyze(runs: list[Path], options: Options) -> Path:
             if found is not None:
                 encoded[name] = found
             torsos[name] = torso(player, states)
+            if not all(np.isfinite(z).all() for z in (torsos[name], encoded.get(name, 0))):
+                raise ConfigError(f"{name}: its features are not finite")
             algos[name] = player.config.algo.name
         looked_at = encoded or torsos
         pictures = [
@@ -170,7 +191,7 @@ def analyze(runs: list[Path], options: Options) -> Path:
         ]
         tsne = draw.tsne(looked_at, states.room, options.seed, out, bars)
         pictures.insert(1, (tsne, "t-SNE of the features (Fig. 5.8)"))
-    table = table_of(players, names, runs, encoded, torsos, states)
+    table = table_of(players, names, most, (states, encoded, torsos))
     page = out / "index.html"
     rooms = "" if states.room is None else f" in {len(np.unique(states.room))} rooms"
     write_page(
@@ -183,18 +204,15 @@ def analyze(runs: list[Path], options: Options) -> Path:
     return page
 
 
-def main(arguments: list[str]) -> int:
+def work(runs: list[Path], options: Options) -> None:
     """Write the page."""
-    if not arguments or "--help" in arguments or "-h" in arguments:
-        print(usage(str(__doc__), Options))
-        return 0 if arguments else 2
-    try:
-        runs, options = read(arguments, Options)
-        check(runs, options)
-        print(f"page: {analyze(runs, options).resolve()}")
-    except (ConfigError, OSError) as error:
-        return refuse(error)
-    return 0
+    check(runs, options)
+    print(f"page: {analyze(runs, options).resolve()}")
+
+
+def main(arguments: list[str]) -> int:
+    """The command."""
+    return command(str(__doc__), Options, work, arguments)
 
 
 if __name__ == "__main__":

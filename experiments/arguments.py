@@ -1,14 +1,16 @@
 """The command lines of the tools: places, and options as `key=value` or `--key value`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 from experiments.options import ConfigError
+from experiments.run import refuse
 from experiments.validate import check, unknown
 
 Options = TypeVar("Options")
+TRUST = "the code that the run's configuration names (its algo.module or env.id), if any"
 
 
 def default_of(entry: Any) -> Any:
@@ -89,3 +91,42 @@ def read(arguments: Sequence[str], kind: type[Options]) -> tuple[list[Path], Opt
         given[name] = converted(name, text, default)
         check(name, given[name], known[name].metadata)
     return places, kind(**given)
+
+
+def command(
+    about: str,
+    kind: type[Options],
+    work: Callable[[list[Path], Options], None],
+    arguments: Sequence[str],
+    needs_places: bool = True,
+) -> int:
+    """Run a tool; the exit status.
+
+    Args:
+      about: its own words, for `--help`.
+      kind: its options.
+      work: what it does; a ConfigError or an OSError out of it is said in one line.
+      arguments: of the process.
+      needs_places: without arguments it has nothing to do.
+    """
+    if "--help" in arguments or "-h" in arguments or (needs_places and not arguments):
+        print(usage(about, kind))
+        return 0 if arguments else 2
+    try:
+        work(*read(arguments, kind))
+    except (ConfigError, OSError) as error:
+        return refuse(error)
+    except KeyboardInterrupt:
+        return refuse("interrupted", 130)
+    return 0
+
+
+def only(places: list[Path]) -> Path:
+    """The one run directory.
+
+    Raises:
+      ConfigError: there is none, or are more.
+    """
+    if len(places) != 1:
+        raise ConfigError("give one run directory")
+    return places[0]

@@ -8,6 +8,7 @@ import numpy as np
 
 from experiments.estimates import interval, on_grid, smoothed
 from experiments.finished import Group, Seed
+from experiments.page import write_csv
 from experiments.style import label, millions, panels, plt, save, style
 
 Curve = tuple[np.ndarray, np.ndarray]
@@ -38,7 +39,7 @@ def over_iterations(figure: str) -> Callable[[Seed], Curve | None]:
         if values is None or not np.nan_to_num(values).any():
             return None  # of the baseline's novelty, say
         there = np.isfinite(values)
-        return seed.metrics["step"][there], values[there]
+        return (seed.metrics["step"][there], values[there]) if there.any() else None
 
     return of
 
@@ -70,25 +71,33 @@ def draw(groups: list[Group], quantity: str, title: str, out: Path, name: str) -
     """
     axis, of = QUANTITIES[quantity]
     figure, ((axes,),) = panels(1, 1)
+    rows: list[list[str]] = []
     for group in groups:
         curves = [curve for curve in map(of, group.seeds) if curve is not None]
         if not curves:
             continue
         steps, values = on_grid(curves)
         mean, look = values.mean(0), style(group.algo)
+        looks = [other.name for other in groups if other.algo == group.algo]
+        if looks.index(group.name):  # another variant of the same algorithm
+            look["linestyle"] = ("--", ":", "-.")[(looks.index(group.name) - 1) % 3]
         if len(curves) <= 10:
             for own in curves:
                 axes.plot(*own, color=look["color"], alpha=0.25, linewidth=0.8)
         band = interval(values)
         if band is not None:
             axes.fill_between(steps, *band, color=look["color"], alpha=0.18, linewidth=0)
-        shown = group.name.replace(group.algo, label(group.algo), 1)
+        shown = group.name.replace(group.algo, label(group.algo), 1).replace("$", r"\$")
+        rows += [
+            [group.name, *map(str, row)] for row in zip(steps, mean, *(band or ()), strict=True)
+        ]
         count = f"{len(curves)} seed{'s' if len(curves) > 1 else ''}"
         axes.plot(steps, mean, linewidth=2.2, label=f"{shown}, {count}", **look)
     if not axes.lines:
         plt.close(figure)
         return None
-    axes.set_title(title)
+    write_csv(out / f"{name}.csv", ["runs", "step", "mean", "low", "high"], rows)
+    axes.set_title(title.replace("$", r"\$"))
     axes.set_ylabel(axis)
     millions(axes)
     axes.legend(frameon=False, fontsize=9)

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.arguments import read, usage
-from experiments.options import ConfigError, option
+from experiments.arguments import TRUST, command, only
+from experiments.options import option
 from experiments.process import before_jax
-from experiments.run import refuse
 
 
 @dataclass(frozen=True)
@@ -25,6 +24,7 @@ class Options:
     episodes: int = option(16, "that each seed plays, side by side", low=1, high=1024)
     policy: str = option("sampled", "how actions are taken", choices=("sampled", "greedy"))
     seed: int = option(0, "of the environments", low=0, high=2**31 - 1)
+    trust: str | None = option(None, TRUST)
 
 
 def figures(played: list[Any]) -> dict[str, np.ndarray]:
@@ -51,37 +51,27 @@ def evaluate(run: Path, options: Options) -> list[dict[str, Any]]:
 
     lines = []
     with Bars() as bars:
-        for seed in load(run).config.seeds:
-            player = load(run, seed)
+        for player in load(run, options.trust):
+            name = f"seed {player.seed}"
 
-            def report(steps: int, ended: int, seed: int = seed) -> None:
-                bars.to(f"seed {seed}", ended, options.episodes, f"episodes, step {steps:,}")
+            def report(steps: int, ended: int, name: str = name) -> None:
+                bars.to(name, ended, options.episodes, f"episodes, step {steps:,}")
 
-            played = play(
-                player, options.episodes, options.policy == "greedy", options.seed, report
-            )
-            line: dict[str, Any] = {"seed": seed, "iteration": player.iteration}
+            greedy = options.policy == "greedy"
+            played = play(player, options.episodes, greedy, options.seed, False, report)
+            line: dict[str, Any] = {"seed": player.seed, "iteration": player.iteration}
             for name, values in figures(played).items():
-                band = interval(values)
                 line[name] = {"mean": float(values.mean()), "max": float(values.max())}
+                band = interval(values)
                 if band is not None:
                     line[name]["interval"] = [float(x) for x in band]
             lines.append(line)
     return lines
 
 
-def main(arguments: list[str]) -> int:
+def work(places: list[Path], options: Options) -> None:
     """Print the figures."""
-    if not arguments or "--help" in arguments or "-h" in arguments:
-        print(usage(str(__doc__), Options))
-        return 0 if arguments else 2
-    try:
-        places, options = read(arguments, Options)
-        if len(places) != 1:
-            raise ConfigError("give one run directory")
-        lines = evaluate(places[0], options)
-    except ConfigError as error:
-        return refuse(error)
+    lines = evaluate(only(places), options)
     for line in lines:
         print(f"seed {line['seed']}, iteration {line['iteration']}, {options.policy}")
         for name in ("return", "score", "length", "rooms"):
@@ -91,7 +81,11 @@ def main(arguments: list[str]) -> int:
                 band = f"  95% {ends[0]:.3f} to {ends[1]:.3f}" if ends else ""
                 print(f"  {name:<8} {found['mean']:>10.3f}{band}  most {found['max']:.3f}")
     print(json.dumps({"policy": options.policy, "episodes": options.episodes, "seeds": lines}))
-    return 0
+
+
+def main(arguments: list[str]) -> int:
+    """The command."""
+    return command(str(__doc__), Options, work, arguments)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import numpy as np
 
 from experiments.options import Config, ConfigError
 from experiments.stored import CONFIG, read, settings
+from experiments.validate import validated
 
 
 class Seed(NamedTuple):
@@ -48,7 +49,7 @@ def read_run(path: Path) -> Trained:
     Raises:
       ValueError: in a few words, why it cannot be read.
     """
-    config = read(path / CONFIG).config
+    config = validated(read(path / CONFIG).config)
     notes: list[str] = []
     try:
         lines, cut = complete_lines(path / "metrics.jsonl")
@@ -103,10 +104,10 @@ def parsed_episodes(rows: list[str]) -> dict[str, np.ndarray]:
     """
     if not rows:
         raise ValueError("episodes.csv is empty")
-    head, *body = csv.reader(io.StringIO("\n".join(rows)))
     try:
+        head, *body = csv.reader(io.StringIO("\n".join(rows)))
         table = np.array(body, float).reshape(len(body), len(head))
-    except ValueError:
+    except (ValueError, csv.Error):
         raise ValueError("episodes.csv holds a line that does not fit its head") from None
     if {"seed", "step", "length", "ext_return", "score", "int_return"} - set(head):
         raise ValueError("episodes.csv has other columns")
@@ -150,9 +151,10 @@ class Group(NamedTuple):
     config: Config
 
     @property
-    def steps(self) -> int:
-        """Steps that every seed has taken."""
-        return min(int(seed.metrics["step"][-1]) for seed in self.seeds)
+    def steps(self) -> tuple[int, int]:
+        """The fewest and the most steps that a seed has taken."""
+        counts = [int(seed.metrics["step"][-1]) for seed in self.seeds]
+        return min(counts), max(counts)
 
 
 def grouped(runs: list[Trained]) -> list[Group]:
@@ -170,10 +172,20 @@ def grouped(runs: list[Trained]) -> list[Group]:
         )
         for own, same in zip(parsed, variants.values(), strict=True):
             told = " ".join(f"{name.removeprefix('algo.')}={own[name]}" for name in differing)
-            seeds = [seed for run in same for seed in run.seeds if "step" in seed.metrics]
+            seeds = once([seed for run in same for seed in run.seeds if "step" in seed.metrics])
             name = f"{algo} ({told})" if told else algo
             groups.append(Group(env, algo, name, seeds, same[0].config))
     return groups
+
+
+def once(seeds: list[Seed]) -> list[Seed]:
+    """Each seed once, as far as it was trained the farthest."""
+    best: dict[int, Seed] = {}
+    for seed in seeds:
+        known = best.get(seed.seed)
+        if known is None or seed.metrics["step"][-1] > known.metrics["step"][-1]:
+            best[seed.seed] = seed
+    return [best[number] for number in sorted(best)]
 
 
 def settings_of(config: Config) -> dict[str, Any]:

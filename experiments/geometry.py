@@ -12,7 +12,7 @@ def eigenvalues(z: np.ndarray) -> np.ndarray:
     Args:
       z: float[M, d].
 
-    >>> eigenvalues(np.array([[1.0, 0.0], [-1.0, 0.0]])).tolist()
+    >>> eigenvalues(np.array([[1.0, 0.0], [-1.0, 0.0]])).round(6).tolist()
     [2.0, 0.0]
     """
     centred = np.asarray(z, np.float64) - np.mean(z, axis=0, dtype=np.float64)
@@ -22,10 +22,14 @@ def eigenvalues(z: np.ndarray) -> np.ndarray:
 def rank(z: np.ndarray) -> int:
     """The number of linearly independent dimensions: of the R of a QR decomposition.
 
+    What is smaller than the rounding of the features' own dtype is none.
+
     >>> rank(np.array([[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]))
     1
     """
-    return int(np.linalg.matrix_rank(np.linalg.qr(np.asarray(z, np.float64), mode="r")))
+    singular = np.linalg.svd(np.linalg.qr(np.asarray(z, np.float64), mode="r"), compute_uv=False)
+    kind = z.dtype if np.issubdtype(z.dtype, np.floating) else np.dtype(np.float64)
+    return int(np.sum(singular > singular[0] * max(z.shape) * np.finfo(kind).eps))
 
 
 def distances(x: np.ndarray) -> np.ndarray:
@@ -47,13 +51,13 @@ def figures(z: np.ndarray, follows: np.ndarray) -> dict[str, float]:
       follows: bool[M - 1], whether state m + 1 is the successor of state m.
 
     Returns:
-      Mean and deviation of ||z_t+1 - z_t|| and of ||z||, percentiles of the eigenvalues of the
-      first `COMPARED` states, the rank of all, and d.
+      Of the first `COMPARED` states mean and deviation of ||z_t+1 - z_t|| and of ||z||, and
+      percentiles of the eigenvalues; the rank of all, and d.
     """
-    z = np.asarray(z, np.float64)
-    step = np.linalg.norm(np.diff(z, axis=0), axis=1)[follows]
-    norm = np.linalg.norm(z, axis=1)
-    spectrum = eigenvalues(z[:COMPARED])
+    first = np.asarray(z[:COMPARED], np.float64)
+    step = np.linalg.norm(np.diff(first, axis=0), axis=1)[follows[: len(first) - 1]]
+    norm = np.linalg.norm(first, axis=1)
+    spectrum = eigenvalues(first)
     return {
         "step_mean": float(step.mean()),
         "step_std": float(step.std()),

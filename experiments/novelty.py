@@ -16,16 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from experiments.arguments import read, usage
+from experiments.arguments import command
 from experiments.config import load
 from experiments.directory import replace
 from experiments.options import ConfigError, option
 from experiments.process import before_jax
-from experiments.run import refuse
 
 ALGORITHMS = "rnd,snd_v,snd_std,snd_vic,snd_vinv,icm,sp"
 ABOUT = {
-    "past": "states it was trained on, m < n",
+    "past": "past, m < n",
     "near": "near future, n < m < n + 128",
     "far": "far future, m > n",
     "random": "any state",
@@ -41,7 +40,7 @@ class Options:
     env: str = option("MontezumaRevenge", "the game", choices=("MontezumaRevenge",))
     algos: str = option(ALGORITHMS, "modules, by name")
     out: str = option("novelty", "where figures and numbers go")
-    train_every: int = option(4, "states between gradient steps", low=1)
+    train_every: int = option(4, "states between gradient steps", low=4)
     read_every: int = option(32, "states between readings", low=1)
     states: int = option(2700, "of the trajectory, from its start", low=300, high=2700)
     seed: int = option(0, "of the weights and the draws", low=0, high=2**31 - 1)
@@ -74,7 +73,8 @@ def done(path: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
         stored = json.loads(path.read_text())
     except (OSError, ValueError):
         return None
-    return stored if stored.get("settings") == wanted else None
+    there = isinstance(stored, dict) and stored.get("settings") == wanted
+    return stored if there else None
 
 
 def studies(options: Options, walk: Any, out: Path) -> dict[str, dict[str, Any]]:
@@ -179,20 +179,13 @@ def table_rows(found: dict[str, dict[str, Any]], walk: Any) -> list[list[str]]:
     return rows
 
 
-def main(arguments: list[str]) -> int:
+def work(places: list[Path], options: Options) -> None:
     """Study every module, draw, and write the page."""
-    if "--help" in arguments or "-h" in arguments:
-        print(usage(str(__doc__), Options))
-        return 0
-    try:
-        places, options = read(arguments, Options)
-        if places:
-            raise ConfigError(f"'{places[0]}': write key=value")
-        names_of(options)
-        out = Path(options.out)
-        out.mkdir(parents=True, exist_ok=True)
-    except (ConfigError, OSError) as error:
-        return refuse(error)
+    if places:
+        raise ConfigError(f"'{places[0]}': write key=value")
+    names_of(options)
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
     from experiments.page import Section, Table, write_page
     from experiments.process import keep_compilations
     from experiments.trajectory import Walk, replayed
@@ -220,7 +213,11 @@ def main(arguments: list[str]) -> int:
     )
     print("\n".join("  ".join(f"{cell:<26}" for cell in row) for row in [HEAD, *table.rows]))
     print(f"page: {(out / 'index.html').resolve()}")
-    return 0
+
+
+def main(arguments: list[str]) -> int:
+    """The command."""
+    return command(str(__doc__), Options, work, arguments, needs_places=False)
 
 
 if __name__ == "__main__":

@@ -37,6 +37,13 @@ def inline(picture: Path) -> str:
     return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode()
 
 
+def write_csv(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """Write a table as a CSV file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", errors="replace") as file:
+        csv.writer(file, lineterminator="\n").writerows([head, *rows])
+
+
 def write_page(
     path: Path, title: str, lead: str, sections: list[Section], refresh: int = 0
 ) -> None:
@@ -59,8 +66,7 @@ def write_page(
     for section in sections:
         for table in section.tables:
             if table.name:
-                with (path.parent / f"{table.name}.csv").open("w", newline="") as file:
-                    csv.writer(file, lineterminator="\n").writerows([table.head, *table.rows])
+                write_csv(path.parent / f"{table.name}.csv", table.head, table.rows)
     text = loader.get_template("page.html").render(
         title=title, lead=lead, sections=sections, inline=inline, refresh=refresh
     )

@@ -14,10 +14,11 @@ from experiments.agents import build, first_states
 from experiments.checkpoint import Checkpoints, Damaged
 from experiments.environments import EnvpoolPool, make_pool, seeds_of
 from experiments.options import Config, ConfigError
-from experiments.stored import CONFIG, read
+from experiments.stored import CONFIG, check_code, read
+from experiments.validate import validated
 from sndjax import TrainState
 from sndjax.acting import forward, scale_vectors
-from sndjax.rollout import channels, push
+from sndjax.rollout import channels
 
 PIECE = 256
 
@@ -53,51 +54,59 @@ def find_state(run: Path, config: Config, like: Any) -> tuple[int, TrainState]:
     """
     checkpoints = Checkpoints(run)
     try:
-        step, _, _ = checkpoints.find(lambda manifest: None)
+        step, _, said = checkpoints.find(lambda manifest: None)
         if step is None:
             raise ConfigError(f"{run}: there is no checkpoint")
+        for line in said:
+            print(f"{run}: {line}")
         return step, checkpoints.load(step, like)
     except Damaged as error:
         raise ConfigError(f"{run}: no checkpoint can be used: {error}") from None
 
 
-def load(run: Path, seed: int | None = None) -> Player:
-    """The agent of a run, of its first seed unless another is named.
+def load(run: Path, trust: str | None = None) -> list[Player]:
+    """The agents of a run, one a seed.
+
+    Args:
+      run: its directory.
+      trust: the code that the run's stored configuration may name, if it names some: the value
+        of its `algo.module` or `env.id`, repeated.
 
     Raises:
-      ConfigError: there is no run, no such seed, no checkpoint that can be used.
+      ConfigError: there is no run, it names code, or no checkpoint of it can be used.
     """
     if not (run / CONFIG).is_file():
         raise ConfigError(f"{run}: there is no run (no {CONFIG})")
-    config = read(run / CONFIG).config
-    seed = config.seed if seed is None else seed
-    if seed not in config.seeds:
-        raise ConfigError(f"{run}: there is no seed {seed}; it has {config.seeds}")
+    config = validated(read(run / CONFIG).config)
+    if trust not in (config.algo.module, config.env.id) or trust is None:
+        check_code(config, {}, str(run))
     pool = make_pool(config.env, config.seeds[:1], 1)
     agent = build(config, pool)
     pool.close()
     example = jnp.zeros((config.num_envs, *pool.shape), pool.dtype)
     like = jax.eval_shape(lambda: first_states(agent, config.seeds, example))
     iteration, states = find_state(run, config, like)
-    own = jax.tree.map(lambda x: x[config.seeds.index(seed)], states)
-    return Player(config, agent, jax.tree.map(jnp.asarray, own), seed, iteration)
+    own = lambda i: jax.tree.map(lambda x: jnp.asarray(x[i]), states)
+    return [Player(config, agent, own(i), seed, iteration) for i, seed in enumerate(config.seeds)]
 
 
-def chooser(player: Player, greedy: bool) -> Callable[..., Any]:
-    """A jitted step of the policy: (window, frame, first, step) -> (action, value, window)."""
+def chooser(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
+    """A jitted step: (window, frame, first, step) -> (action, executed, value, window)."""
     agent, state = player.agent, player.state
-    actor = sndjax.Actor(state.policy, state.observations, state.key)
+    key = jax.random.fold_in(state.key, seed)
+    actor = sndjax.Actor(state.policy, state.observations, key)
 
     @jax.jit
     def choose(window, frame, first, step):
-        if not greedy:
-            decision, window = sndjax.act(agent, actor, window, frame, first, step)
-            return decision.action, decision.executed, decision.value, window
-        window = push(window, frame, first, agent.stack.repeat)
-        seen = scale_vectors(window, actor.observations, agent.unbounded)
-        logits, value = forward(agent.network, actor.policy, channels(seen))
-        action = jnp.argmax(logits, axis=-1)
-        return action, action, value, window
+        decision, window = sndjax.act(agent, actor, window, frame, first, step)
+        action, executed = decision.action, decision.executed
+        if greedy:  # the environment's own random actions stay
+            seen = scale_vectors(window, actor.observations, agent.unbounded)
+            logits, _ = forward(agent.network, actor.policy, channels(seen))
+            likeliest = jnp.argmax(logits, axis=-1)
+            executed = jnp.where(executed == action, likeliest, executed)
+            action = likeliest
+        return action, executed, decision.value, window
 
     return choose
 
@@ -107,6 +116,7 @@ def play(
     episodes: int,
     greedy: bool = False,
     seed: int = 0,
+    keep: bool = True,
     report: Callable[[int, int], None] = lambda steps, ended: None,
 ) -> list[Episode]:
     """Whole episodes, one in each environment: short ones are not counted more often.
@@ -115,12 +125,13 @@ def play(
       player: who plays.
       episodes: how many, side by side.
       greedy: take the likeliest action instead of drawing one.
-      seed: of the environments.
+      seed: of the environments and of the draws.
+      keep: keep the frames; else there is only the first.
       report: called with the steps taken and the number of episodes that have ended.
     """
     env, stack = player.config.env, player.config.env.stack
     pool = make_pool(env, [seed], episodes)
-    choose = chooser(player, greedy)
+    choose = chooser(player, greedy, seed)
     frame, first = pool.reset()[0], np.ones(episodes, bool)
     window: Any = np.zeros((stack, episodes, *pool.shape), pool.dtype)
     alive = np.ones(episodes, bool)
@@ -135,7 +146,8 @@ def play(
         columns = (action, executed, value, step.reward[0], step.score[0], room)
         for n in np.nonzero(alive)[0].tolist():
             rows[n].append(tuple(column[n] for column in columns))
-            frames[n].append(step.frame[0, n].copy())
+            if keep:
+                frames[n].append(step.frame[0, n].copy())
         alive &= ~step.done[0]
         frame, first = step.frame[0], ~step.valid[0]
         t += 1

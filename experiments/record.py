@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.arguments import read, usage
+from experiments.arguments import TRUST, command, only
 from experiments.options import ConfigError, option
 from experiments.process import before_jax
-from experiments.run import refuse
 
 HEIGHT, SIDE = 480, 640  # of the film, and of the traces beside the game
 SHEET, APART = 12, 16  # frames on the contact sheet, and steps between two of them
@@ -33,6 +32,7 @@ class Options:
     steps: int = option(0, "film the first steps alone; 0: all", low=0)
     rate: int = option(30, "agent steps per second", low=1, high=240)
     out: str | None = option(None, "where the files go; default RUN_DIR/films")
+    trust: str | None = option(None, TRUST)
 
 
 def best_of(episodes: list[Any]) -> int:
@@ -96,17 +96,25 @@ def write_film(
     import cv2
 
     writer, written = None, 0
-    for frame in frames:
-        if writer is None:
-            size = frame.shape[1], frame.shape[0]
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), rate, size)
-            if not writer.isOpened():
-                raise OSError(f"cannot write {path}")
-        writer.write(frame[..., ::-1])
-        written += 1
-        report(written)
-    if writer is not None:
-        writer.release()
+    new = path.with_name(f".new-{path.name}")  # the film has its name when it is whole
+    try:
+        for frame in frames:
+            if writer is None:
+                size = frame.shape[1], frame.shape[0]
+                code = cv2.VideoWriter.fourcc(*"vp09")
+                writer = cv2.VideoWriter(str(new), cv2.CAP_FFMPEG, code, rate, size)
+                if not writer.isOpened():
+                    raise OSError(f"cannot write {path}")
+            writer.write(frame[..., ::-1])
+            written += 1
+            report(written)
+        if writer is not None:
+            writer.release()
+        if cv2.VideoCapture(str(new)).get(cv2.CAP_PROP_FRAME_COUNT) != written:
+            raise OSError(f"{path} could not be written whole: is the disk full?")
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
     return written
 
 
@@ -150,13 +158,17 @@ def record(run: Path, options: Options) -> list[Path]:
     from experiments.player import load, novelty, pictures, play
     from experiments.progress import Bars
 
-    player = load(run, None if options.agent < 0 else options.agent)
+    players = {player.seed: player for player in load(run, options.trust)}
+    player = players.get(options.agent if options.agent >= 0 else min(players))
+    if player is None:
+        raise ConfigError(f"{run}: there is no seed {options.agent}; it has {sorted(players)}")
     with Bars() as bars:
         played = play(
             player,
             options.episodes,
             options.policy == "greedy",
             options.seed,
+            True,
             lambda t, n: bars.to("playing", n, options.episodes, f"episodes, step {t:,}"),
         )
         episode = played[best_of(played)]
@@ -188,20 +200,15 @@ def record(run: Path, options: Options) -> list[Path]:
     return [film, sheet]
 
 
-def main(arguments: list[str]) -> int:
+def work(places: list[Path], options: Options) -> None:
     """Make the film and name the files."""
-    if not arguments or "--help" in arguments or "-h" in arguments:
-        print(usage(str(__doc__), Options))
-        return 0 if arguments else 2
-    try:
-        places, options = read(arguments, Options)
-        if len(places) != 1:
-            raise ConfigError("give one run directory")
-        for path in record(places[0], options):
-            print(path.resolve())
-    except (ConfigError, OSError) as error:
-        return refuse(error)
-    return 0
+    for path in record(only(places), options):
+        print(path.resolve())
+
+
+def main(arguments: list[str]) -> int:
+    """The command."""
+    return command(str(__doc__), Options, work, arguments)
 
 
 if __name__ == "__main__":

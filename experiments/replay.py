@@ -80,7 +80,7 @@ def replay(agent: Any, config: Config, state: Any, batch: Any) -> None:
     import jax
 
     from experiments.agents import make_train_step
-    from experiments.watch import not_finite
+    from experiments.symptoms import not_finite
 
     inputs = {"state before": state._replace(key=None), "batch": batch}
     for name, tree in inputs.items():

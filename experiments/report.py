@@ -5,15 +5,15 @@ HTML file with everything in it, and each part as PNG, SVG and CSV. With --live 
 every half minute, and the page loads itself anew.
 """
 
+import re
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.arguments import read, usage
+from experiments.arguments import command
 from experiments.options import ConfigError, option
-from experiments.run import refuse
 
 EVERY = 30  # seconds, with --live
 
@@ -35,7 +35,8 @@ def of_environment(env: str, groups: list[Any], out: Path) -> Any:
     scored = any((seed.episodes["score"] != seed.episodes["ext_return"]).any() for seed in seeds)
     pictures = []
     for quantity in ("return", *(["score"] if scored else []), "intrinsic", "rooms"):
-        picture = draw(groups, quantity, env, out, f"{env}-{quantity}")
+        plain = re.sub(r"[^A-Za-z0-9_-]", "-", env)
+        picture = draw(groups, quantity, env, out, f"{plain}-{quantity}")
         if picture is not None:
             pictures.append((picture, f"{env}: {QUANTITIES[quantity].axis}"))
     return Section(env, pictures=pictures)
@@ -86,27 +87,6 @@ def sections(runs: list[Any], left_out: list[tuple[Path, str]], out: Path) -> li
     ]
 
 
-def main(arguments: list[str]) -> int:
-    """Write the page, once or until Ctrl-C."""
-    if not arguments or "--help" in arguments or "-h" in arguments:
-        print(usage(str(__doc__), Options))
-        return 0 if arguments else 2
-    try:
-        places, options = read(arguments, Options)
-        if not places:
-            raise ConfigError("say which directories: python -m experiments.report runs/")
-        out = Path(options.out)
-        while True:
-            write(places, out, options.live)
-            if not options.live:
-                return 0
-            time.sleep(EVERY)
-    except (ConfigError, OSError) as error:
-        return refuse(error)
-    except KeyboardInterrupt:
-        return 0
-
-
 def write(places: list[Path], out: Path, live: bool) -> None:
     """The page as of now.
 
@@ -126,6 +106,26 @@ def write(places: list[Path], out: Path, live: bool) -> None:
     page = out / "index.html"
     write_page(page, "sndjax report", lead, sections(runs, left_out, out), EVERY if live else 0)
     print(f"page: {page.resolve()}", flush=True)
+
+
+def work(places: list[Path], options: Options) -> None:
+    """Write the page, once or until Ctrl-C."""
+    if not places:
+        raise ConfigError("say which directories: python -m experiments.report runs/")
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    while options.live:
+        try:
+            write(places, out, live=True)
+        except ConfigError as error:  # nothing yet
+            print(error, flush=True)
+        time.sleep(EVERY)
+    write(places, out, live=False)
+
+
+def main(arguments: list[str]) -> int:
+    """The command."""
+    return command(str(__doc__), Options, work, arguments)
 
 
 if __name__ == "__main__":

@@ -148,8 +148,8 @@ def figures(where: np.ndarray, means: np.ndarray, visits: list[int]) -> dict[str
       visits: the steps at which a room is seen for the first time.
 
     Returns:
-      far_over_past: the far future's mean over the past's, of the whole trajectory.
-      far_over_past_last_quarter: the same of its last quarter.
+      far_over_past: the far future's signal over the past's, the median of the readings.
+      far_over_past_last_quarter: the same of the last quarter of the readings.
       near_last_over_first: the near future's mean in the last quarter over that in the first.
       new_room_ahead: the probability that near over past is higher at a step with a new room in
         its near future than at one without; 0.5 is chance, NaN without such steps.
@@ -158,7 +158,7 @@ def figures(where: np.ndarray, means: np.ndarray, visits: list[int]) -> dict[str
     >>> means = np.array([same, [1.0, 9.0, 4.0, 1.0], same, [1.0, 1.0, 1.0, 1.0]])
     >>> for name, value in figures(np.array([0, 200, 400, 600]), means, [250]).items():
     ...     print(name, value)
-    far_over_past 3.25
+    far_over_past 4.0
     far_over_past_last_quarter 1.0
     near_last_over_first 0.5
     new_room_ahead 1.0
@@ -168,8 +168,8 @@ def figures(where: np.ndarray, means: np.ndarray, visits: list[int]) -> dict[str
     ahead = np.array([any(n < visit < n + NEAR for visit in visits) for n in where.tolist()])
     mixed = ahead.any() and not ahead.all()
     return {
-        "far_over_past": float(far.mean() / past.mean()),
-        "far_over_past_last_quarter": float(far[-quarter:].mean() / past[-quarter:].mean()),
+        "far_over_past": float(np.median(far / past)),
+        "far_over_past_last_quarter": float(np.median((far / past)[-quarter:])),
         "near_last_over_first": float(near[-quarter:].mean() / near[:quarter].mean()),
         "new_room_ahead": improvement((near / past)[ahead], (near / past)[~ahead])
         if mixed

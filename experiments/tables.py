@@ -64,10 +64,16 @@ def spread(values: list[float]) -> str:
     return f"{there.mean():.2f} ± {there.std():.2f}" if len(there) else ""
 
 
+def millions(group: Group) -> str:
+    """The steps of its seeds, from the fewest to the most, in millions."""
+    least, most = (f"{steps / 1e6:.3g}" for steps in group.steps)
+    return least if least == most else f"{least} to {most}"
+
+
 def published(number: Published) -> str:
     """A number of the thesis as it prints it."""
-    deviation = "" if np.isnan(number.std) else f" ± {number.std:g}"
-    return f"{number.value:g}{deviation}"
+    deviation = "" if np.isnan(number.std) else f" ± {number.std:.10g}"
+    return f"{number.value:.10g}{deviation}"
 
 
 def thesis_table(table: str, groups: list[Group]) -> Table:
@@ -80,8 +86,8 @@ def thesis_table(table: str, groups: list[Group]) -> Table:
         for group in ours or [None]:
             cells = ["", "", ""]
             if group is not None:
-                found = [of(seed) for seed in group.seeds]
-                cells = [spread(found), str(len(found)), f"{group.steps / 1e6:.3g}"]
+                found = [value for value in map(of, group.seeds) if np.isfinite(value)]
+                cells = [spread(found), str(len(found)), millions(group)]
             name = algo if group is None else group.name
             rows.append([env, name.replace(algo, label(algo), 1), *cells, published(number)])
     head = ["environment", "algorithm", "ours", "seeds", "steps, millions", "thesis"]
@@ -104,7 +110,7 @@ def seeds_table(groups: list[Group]) -> Table:
             [
                 group.env,
                 group.name.replace(group.algo, label(group.algo), 1),
-                str(len(group.seeds)),
+                str(len(found)),
                 f"{interquartile_mean(found):.3g}" if len(found) else "",
                 "" if band is None else f"{band[0]:.3g} to {band[1]:.3g}",
                 spread(last),

@@ -24,11 +24,12 @@ from experiments.process import keep_compilations, return_freed_memory, rss_mb
 from experiments.progress import Progress, clock
 from experiments.records import LOGS, Records, check_logs, mean_line
 from experiments.stored import check_settings, settings
+from experiments.symptoms import Signs, dump, not_finite
 from experiments.versions import versions
-from experiments.watch import Signs, dump, not_finite
 
 WIDE = ("re3", "e3b", "ngu")  # signals whose unit is not that of a squared feature
 CHECKPOINT_SECONDS = 300  # a checkpoint at least this often
+LOOK_SECONDS = 300  # between two looks at the features
 LONG_SECONDS = 60  # an iteration that takes longer is always followed by one
 GRACE_SECONDS = 4  # that an update may go on after SIGTERM, so that its checkpoint is in time
 
@@ -70,7 +71,7 @@ class Run:
                 self.state = self.checkpoints.load(found, jax.eval_shape(self.fresh))
             except Damaged as error:
                 raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
-        self.saved = time.monotonic()
+        self.saved, self.looked = time.monotonic(), -float("inf")
         self.expected: float | None = None  # seconds of an update
 
     def find_checkpoint(self) -> int | None:
@@ -172,8 +173,9 @@ class Run:
                     progress.say(warning)
             due = self.done % config.checkpoint_every == 0 or gone > LONG_SECONDS
             if due or time.monotonic() - self.saved > CHECKPOINT_SECONDS:
-                self.glimpses.look(self.records.boards, self.seeds, self.state, batch, int_reward)
                 self.save()
+                self.interrupts.check()
+                self.look(batch, int_reward)
         self.save()
         progress.phase("saving")
         self.checkpoints.wait()
@@ -283,6 +285,20 @@ class Run:
             lines.append(records.take_in(i, ended[i], entry))
         records.flush()
         return lines
+
+    def look(self, batch: sndjax.Experience, int_reward: np.ndarray) -> None:
+        """Let TensorBoard have a look, now and then; no run ends over a picture."""
+        now = time.monotonic()
+        if now - self.looked < LOOK_SECONDS:
+            return
+        try:
+            self.glimpses.look(self.records.boards, self.seeds, self.state, batch, int_reward)
+            self.looked = now
+        except OSError:
+            raise  # the disk: the logs are next
+        except Exception as error:  # a module of the user's own may raise anything
+            self.looked = float("inf")
+            self.progress.say(f"TensorBoard gets no more pictures: {error!r}")
 
     def save(self) -> None:
         """Begin to write a checkpoint; what it says of the logs is on the disk before it is."""

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from importlib.metadata import version
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -25,6 +26,7 @@ from experiments.config import load
 from experiments.environments import MONTEZUMA_ROOM, make_pool
 from experiments.options import ConfigError
 from experiments.process import before_jax
+from experiments.run import refuse
 
 DATA = Path(__file__).parent / "data" / "montezuma.json"
 STATES, ROOMS = 2_700, 12  # of the thesis' trajectory, and rooms that ours should go through
@@ -232,7 +234,14 @@ def replayed(path: Path = DATA) -> Walk:
 
 def main(arguments: list[str]) -> int:
     """Search on every core and write the walk through the most rooms."""
+    if len(arguments) > 1 or (arguments and arguments[0].startswith("-")):
+        print(f"{str(__doc__).strip()}\n\n  python -m experiments.trajectory [FILE]")
+        return 0 if arguments[0] in ("-h", "--help") else 2
     path = Path(arguments[0]) if arguments else DATA
+    if find_spec("ale_py") is None:
+        return refuse("the search needs ale-py: pip install '.[search]'")
+    if not os.access(path.parent, os.W_OK):
+        return refuse(f"cannot write to {path.parent}")
     deadline, cores = time.time() + SEARCH_SECONDS, os.cpu_count() or 1
     with ProcessPoolExecutor(cores, get_context("spawn")) as pool:
         found = list(pool.map(searched, range(cores), cores * [deadline]))

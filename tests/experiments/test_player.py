@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -44,7 +45,7 @@ def pixels(tmp_path_factory):
 
 
 def test_a_greedy_player_plays_the_same_again(car):
-    player = load(car, seed=1)
+    _, player = load(car)
     assert player.seed == 1
     first, again = (play(player, 3, greedy=True, seed=5) for _ in range(2))
     jax.tree.map(np.testing.assert_array_equal, first, again)
@@ -54,7 +55,7 @@ def test_a_greedy_player_plays_the_same_again(car):
 
 
 def test_the_likeliest_action_is_taken(car):
-    player = load(car)
+    player = load(car)[0]
     (episode,) = play(player, 1, greedy=True)
     logits, value = player.agent.network.apply(
         player.state.policy, jnp.asarray(episode.frames[:-1])
@@ -64,7 +65,7 @@ def test_the_likeliest_action_is_taken(car):
 
 
 def test_novelty_is_the_modules_reward(car):
-    player = load(car)
+    player = load(car)[0]
     (episode,) = play(player, 1)
     steps = len(episode.action)
     edge = np.arange(steps)[:, None]
@@ -81,7 +82,7 @@ def test_novelty_is_the_modules_reward(car):
 
 
 def test_a_film_is_drawn_of_the_same_episode(car):
-    player = load(car)
+    player = load(car)[0]
     episode = play(player, 2, seed=3)[1]
     drawn = list(pictures(player, episode))
     assert len(drawn) == len(episode.frames)
@@ -96,7 +97,7 @@ def test_evaluate(car, capsys):
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert [line["seed"] for line in found["seeds"]] == [0, 1]
     for seed, line in enumerate(found["seeds"]):
-        scores = [e.score.sum() for e in play(load(car, seed), 3)]
+        scores = [e.score.sum() for e in play(load(car)[seed], 3)]
         assert line["score"]["mean"] == pytest.approx(np.mean(scores))
         low, high = line["score"]["interval"]
         assert min(scores) <= low <= high <= max(scores)
@@ -123,7 +124,7 @@ def test_record(pixels, tmp_path):
 
 
 def test_the_torso_sees_the_stacks_that_acting_makes(pixels):
-    player = load(pixels)
+    (player,) = load(pixels)
     draw = np.random.default_rng(0)
     frames = draw.integers(0, 256, (7, 96, 96, 1), np.uint8)
     age = np.array([0, 1, 2, 3, 4, 0, 1])
@@ -139,7 +140,7 @@ def test_the_torso_sees_the_stacks_that_acting_makes(pixels):
 
 
 def test_states_follow_one_another_inside_episodes_alone(car):
-    player = load(car)
+    player = load(car)[0]
     states = collected(player, 450, seed=0)
     assert len(states.frames) == 450
     assert states.room is None
@@ -163,6 +164,33 @@ def test_analyze_the_trajectory(pixels, tmp_path, capsys):
     rows = (out / "geometry.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows[1:]] == ['"RND', '"RND', '"RND']
     assert "1.93 ± 1.15" in rows[-1]  # Table 5.9
+
+
+def test_other_environments_are_other_draws(pixels):
+    (player,) = load(pixels)
+    first, second = (play(player, 1, seed=seed, keep=False)[0] for seed in (0, 1))
+    assert len(first.frames) == 1
+    assert first.action[:50].tolist() != second.action[:50].tolist()
+
+
+def test_code_that_a_stored_file_names_is_not_run(car, tmp_path):
+    bonus = tmp_path / "bonus.py"
+    bonus.write_text("open('ran', 'w')\n")
+    run = tmp_path / "run"
+    shutil.copytree(car, run)
+    text = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(text.replace("module: null", f"module: {bonus}:make"))
+    with pytest.raises(ConfigError, match="no stored file may name code"):
+        load(run)
+
+
+def test_a_damaged_checkpoint_is_named_and_the_one_before_taken(car, tmp_path, capsys):
+    run = tmp_path / "run"
+    shutil.copytree(car, run)
+    newest = max((run / "checkpoints").iterdir(), key=lambda path: int(path.name))
+    (newest / "arrays.npz").write_bytes(b"")
+    assert load(run)[0].iteration < int(newest.name)
+    assert "cannot be used" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", [analyze, evaluate, record])

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from experiments.watch import WINDOW, Signs, not_finite
+from experiments.symptoms import WINDOW, Signs, not_finite
 from sndjax import Experience, Rollout
 
 
