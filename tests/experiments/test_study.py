@@ -7,8 +7,7 @@ from experiments import novelty
 from experiments.study import NEAR, STEPS, runs_of, study, windows_of
 from experiments.trajectory import Walk, replayed
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-ALGOS = ["rnd", "snd_vic"]
+ALGOS = ["rnd", pytest.param("snd_vic", marks=pytest.mark.exhaustive)]
 
 
 @pytest.fixture(scope="module")
