@@ -59,7 +59,7 @@ def tsne(spaces: Spaces, room: np.ndarray | None, seed: int, out: Path, bars: Ba
                 colour = plt.get_cmap("tab20")(k % 20)
                 one.scatter(*points[own].T, s=5, color=colour, label=f"room {number}")
             if i == 0:
-                one.legend(fontsize=6, markerscale=2, loc="upper left", frameon=False)
+                figure.legend(loc="outside right center", fontsize=8, markerscale=2, frameon=False)
         one.set_title(label(name))
     return save(figure, out, "tsne")
 
