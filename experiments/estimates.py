@@ -57,6 +57,37 @@ def improvement(ours: np.ndarray, theirs: np.ndarray) -> float:
     return float(stats.mannwhitneyu(ours, theirs).statistic / (len(ours) * len(theirs)))
 
 
+def improvements(
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[float, tuple[float, float] | None]:
+    """The mean of `improvement` over tasks, and its 95% bootstrap interval over runs.
+
+    Runs are drawn anew within each task and algorithm; None where one of them has a single run.
+
+    >>> improvements([(np.array([2.0, 3.0]), np.array([0.0, 1.0]))])
+    (1.0, (1.0, 1.0))
+    """
+    count = len(pairs)
+
+    def mean(*samples):
+        both = zip(samples[:count], samples[count:], strict=True)
+        return float(np.mean([improvement(ours, theirs) for ours, theirs in both]))
+
+    samples = [ours for ours, _ in pairs] + [theirs for _, theirs in pairs]
+    value = mean(*samples)
+    if min(map(len, samples)) < 2:
+        return value, None
+    found = stats.bootstrap(
+        samples,
+        mean,
+        n_resamples=RESAMPLES // 4,
+        method="percentile",
+        vectorized=False,
+        rng=np.random.default_rng(0),
+    )
+    return value, (float(found.confidence_interval.low), float(found.confidence_interval.high))
+
+
 def smoothed(values: np.ndarray, weight: float = 0.99) -> np.ndarray:
     """The thesis' smoothing: y_k = weight * y_k-1 + (1 - weight) * x_k from y_0 = x_0.
 

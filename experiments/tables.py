@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.estimates import improvement, interquartile_mean, interval
+from experiments.estimates import improvements, interquartile_mean, interval
 from experiments.finished import Group, Seed
 from experiments.page import Table
 from experiments.style import label
@@ -135,10 +135,11 @@ def improvement_table(groups: list[Group]) -> Table:
         cells = []
         for theirs, other in returns.items():
             shared = [e for e in own if e in other and len(own[e]) and len(other[e])]
-            known = ours != theirs and shared
-            cells.append(
-                f"{np.mean([improvement(own[e], other[e]) for e in shared]):.2f}" if known else ""
-            )
+            if ours == theirs or not shared:
+                cells.append("")
+                continue
+            value, band = improvements([(own[e], other[e]) for e in shared])
+            cells.append(f"{value:.2f}" + (f" ({band[0]:.2f} to {band[1]:.2f})" if band else ""))
         rows.append([ours, *cells])
-    caption = "Probability of improvement: a run of the row beats one of the column"
+    caption = "Probability of improvement: a run of the row beats one of the column (95% interval)"
     return Table(["", *returns], rows, caption, "improvement")

@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.estimates import improvement, interquartile_mean, interval, on_grid, smoothed
+from experiments.estimates import (
+    improvement,
+    improvements,
+    interquartile_mean,
+    interval,
+    on_grid,
+    smoothed,
+)
 
 
 def test_an_interval_holds_the_mean_as_often_as_it_says():
@@ -38,6 +45,18 @@ def test_improvement_by_counting():
     counted = [(x > y) + (x == y) / 2 for x in ours for y in theirs]
     assert improvement(ours, theirs) == pytest.approx(np.mean(counted))
     assert improvement(np.zeros(3), np.zeros(2)) == 0.5
+
+
+def test_improvements_over_tasks_and_their_interval():
+    draw = np.random.default_rng(5)
+    near = draw.normal(0.5, 1, 40), draw.normal(0, 1, 30)
+    far = np.array([5.0, 6.0]), np.array([1.0, 2.0, 3.0])
+    value, (low, high) = improvements([near, far])
+    assert value == pytest.approx((improvement(*near) + 1) / 2)
+    # Half of it is certain; the other half's deviation is that of Mann and Whitney's statistic.
+    spread = np.sqrt((40 + 30 + 1) / (12 * 40 * 30)) / 2
+    assert high - low == pytest.approx(2 * 1.96 * spread, rel=0.25)
+    assert improvements([(np.ones(1), np.zeros(3))]) == (1.0, None)
 
 
 def test_smoothing_is_the_recursion():
