@@ -31,7 +31,7 @@ from experiments.timing import Clock, processor, say
 from experiments.versions import versions
 from sndjax.train import advantages, clean, intrinsic_reward, train_module, train_policy
 
-MINIBATCHES = 4  # that a phase is timed on: a call's start costs a tenth of one
+MINIBATCHES = 3  # that a phase is timed on: a call's start costs a tenth of one
 PHASES = ("environment", "acting", "rewards", "policy", "motivation")
 
 

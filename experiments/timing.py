@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-REPEATS = 4
+REPEATS = 3
 SIZE = 4096  # of the matrix product
 
 

@@ -50,7 +50,7 @@ def test_a_cell_without_nominal_work_says_so(quick, capfd):
 
 def test_phases_are_timed_on_whole_minibatches():
     config = bench.load(["env=Venture", "algo=snd_std"])
-    assert bench.short_length(config) == 16  # four of 512, of 128 x 128
+    assert bench.short_length(config) == 12  # three of 512, of 128 x 128
     odd = bench.load(["env=MountainCar", "algo=ppo", "num_envs=8", "ppo.minibatch_size=1024"])
     assert bench.short_length(odd) * 8 % 1024 == 0
 
