@@ -13,6 +13,7 @@ import sndjax
 from experiments.environments import Pool
 from experiments.extension import load_module
 from experiments.options import COPYING, AlgoConfig, Config
+from sndjax.acting import scale_vectors
 from sndjax.algorithms import NAMED
 
 
@@ -61,6 +62,20 @@ def build(config: Config, pool: Pool) -> sndjax.Agent:
         pool.unbounded,
         config.env.random_action,
     )
+
+
+def encoder(agent: sndjax.Agent) -> Callable[..., Any] | None:
+    """(state, frames[B, *frame], action[B]) -> features[B, d] of one seed, jitted; None without."""
+    read = agent.motivation.module.features if agent.motivation else None
+    if read is None:
+        return None
+
+    @jax.jit
+    def encode(state, frames, action):
+        seen = scale_vectors(frames, state.observations, agent.unbounded)
+        return read(state.intrinsic, state.intrinsic_state, seen, action)
+
+    return encode
 
 
 def over_seeds(function: Callable[..., Any], seeds: int, shared: int = 0) -> Callable[..., Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from experiments.estimates import interval, on_grid, smoothed
 from experiments.finished import Group, Seed
 from experiments.page import write_csv
-from experiments.style import label, millions, panels, plt, save, style
+from experiments.style import millions, panels, plt, save, style, titled
 
 Curve = tuple[np.ndarray, np.ndarray]
 
@@ -87,7 +87,7 @@ def draw(groups: list[Group], quantity: str, title: str, out: Path, name: str) -
         band = interval(values)
         if band is not None:
             axes.fill_between(steps, *band, color=look["color"], alpha=0.18, linewidth=0)
-        shown = group.name.replace(group.algo, label(group.algo), 1).replace("$", r"\$")
+        shown = titled(group.algo, group.name).replace("$", r"\$")
         rows += [
             [group.name, *map(str, row)] for row in zip(steps, mean, *(band or ()), strict=True)
         ]

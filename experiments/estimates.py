@@ -8,15 +8,12 @@ from scipy import stats
 RESAMPLES = 2000
 
 
-def interval(
-    values: np.ndarray, statistic=np.mean, level: float = 0.95
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """The percentile bootstrap interval over the first axis; None of a single seed.
+def interval(values: np.ndarray, statistic=np.mean) -> tuple[np.ndarray, np.ndarray] | None:
+    """The 95% percentile bootstrap interval over the first axis; None of a single seed.
 
     Args:
       values: [S] or [S, P].
       statistic: of an array along an axis.
-      level: of confidence.
 
     >>> low, high = interval(np.array([1.0, 2.0, 3.0]))
     >>> float(low), float(high)
@@ -28,7 +25,6 @@ def interval(
         (values,),
         statistic,
         axis=0,
-        confidence_level=level,
         n_resamples=RESAMPLES,
         method="percentile",
         vectorized=True,

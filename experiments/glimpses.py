@@ -1,6 +1,5 @@
 """What TensorBoard shows now and then: the most novel frames, and how features spread."""
 
-from functools import partial
 from typing import Any
 
 import cv2
@@ -9,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import sndjax
+from experiments.agents import encoder
 from experiments.boards import Boards
 from experiments.geometry import COMPARED, PERCENTILES, eigenvalues
-from sndjax.acting import scale_vectors
 
 STRIP, SIDE = 6, 160  # frames side by side, and their height in pixels
 
@@ -28,13 +27,17 @@ def highest(reward: np.ndarray, valid: np.ndarray) -> list[tuple[int, int]]:
     return [(int(best[n]), int(n)) for n in envs if np.isfinite(seen[best[n], n])]
 
 
+def rgb(frame: np.ndarray) -> np.ndarray:
+    """An image as uint8[H, W, 3]; of other channels the last one, in gray."""
+    return frame if frame.shape[-1] == 3 else np.repeat(frame[..., -1:], 3, -1)
+
+
 def strip(frames: list[np.ndarray]) -> np.ndarray:
     """Images side by side, enlarged, as OpenCV has its colours: uint8[SIDE, *, 3]."""
     wide = []
     for frame in frames:
-        image = np.repeat(frame[..., -1:], 3, -1) if frame.shape[-1] != 3 else frame[..., ::-1]
-        size = (round(SIDE * image.shape[1] / image.shape[0]), SIDE)
-        wide.append(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST))
+        size = (round(SIDE * frame.shape[1] / frame.shape[0]), SIDE)
+        wide.append(cv2.resize(rgb(frame)[..., ::-1], size, interpolation=cv2.INTER_NEAREST))
     return np.concatenate(wide, axis=1)
 
 
@@ -52,8 +55,7 @@ class Glimpses:
     def __init__(self, agent: sndjax.Agent):
         """Nothing was looked at yet."""
         self.agent = agent
-        read = agent.motivation.module.features if agent.motivation else None
-        self.encode = None if read is None else jax.jit(partial(self.features, read))
+        self.encode = encoder(agent)
 
     def look(self, boards: Boards, seeds: list[int], state: Any, batch: Any, reward: Any) -> None:
         """Show TensorBoard what the last rollout's novelty was about; leaves are [S, ...]."""
@@ -65,11 +67,6 @@ class Glimpses:
             step = int(own.iteration) * rollout.action.size
             image = most_novel(rollout, reward[i])
             boards.look(seed, step, image, self.spread(own, rollout))
-
-    def features(self, read: Any, state: sndjax.TrainState, frames: Any, action: Any) -> Any:
-        """The encoder's, [B, d]."""
-        seen = scale_vectors(frames, state.observations, self.agent.unbounded)
-        return read(state.intrinsic, state.intrinsic_state, seen, action)
 
     def spread(self, state: sndjax.TrainState, rollout: sndjax.Rollout) -> dict[str, float]:
         """Percentiles of the eigenvalues of features, evenly taken from a rollout [T, N]."""

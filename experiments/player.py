@@ -13,6 +13,7 @@ import sndjax
 from experiments.agents import build, first_states
 from experiments.checkpoint import Checkpoints, Damaged
 from experiments.environments import EnvpoolPool, make_pool, seeds_of
+from experiments.glimpses import rgb
 from experiments.options import Config, ConfigError
 from experiments.stored import CONFIG, check_code, read
 from experiments.validate import validated
@@ -46,7 +47,7 @@ class Episode(NamedTuple):
     stream: int  # the seed of its environment
 
 
-def find_state(run: Path, config: Config, like: Any) -> tuple[int, TrainState]:
+def find_state(run: Path, like: Any) -> tuple[int, TrainState]:
     """The newest whole checkpoint of a run: its iteration and the states of all seeds.
 
     Raises:
@@ -78,14 +79,14 @@ def load(run: Path, trust: str | None = None) -> list[Player]:
     if not (run / CONFIG).is_file():
         raise ConfigError(f"{run}: there is no run (no {CONFIG})")
     config = validated(read(run / CONFIG).config)
-    if trust not in (config.algo.module, config.env.id) or trust is None:
-        check_code(config, {}, str(run))
+    named: dict[str, Any] = {"algo.module": config.algo.module, "env.id": config.env.id}
+    check_code(config, {k: v for k, v in named.items() if v == trust is not None}, str(run))
     pool = make_pool(config.env, config.seeds[:1], 1)
     agent = build(config, pool)
     pool.close()
     example = jnp.zeros((config.num_envs, *pool.shape), pool.dtype)
     like = jax.eval_shape(lambda: first_states(agent, config.seeds, example))
-    iteration, states = find_state(run, config, like)
+    iteration, states = find_state(run, like)
     own = lambda i: jax.tree.map(lambda x: jnp.asarray(x[i]), states)
     return [Player(config, agent, own(i), seed, iteration) for i, seed in enumerate(config.seeds)]
 
@@ -170,10 +171,7 @@ def pictures(player: Player, episode: Episode) -> Iterator[np.ndarray]:
     if env.suite != "envpool":
         if episode.frames.dtype != np.uint8:
             raise ConfigError(f"{env.id}: of gymnasium's tasks only those with images can be drawn")
-        yield from (
-            np.repeat(frame[..., -1:], 3, -1) if frame.shape[-1] != 3 else frame
-            for frame in episode.frames
-        )
+        yield from map(rgb, episode.frames)
         return
     drawn = replace(env, options={**env.options, "render_mode": "rgb_array"})
     pool = EnvpoolPool(drawn, [[episode.stream]])
@@ -206,7 +204,7 @@ def novelty(player: Player, episode: Episode) -> np.ndarray:
         column(episode.action, 0),
         column(steps == 0, False),
         column(steps == length - 1, False),
-        column(steps >= 0, False),
+        column(np.ones(length, bool), False),
     )
     _, fresh = jax.eval_shape(module.init, jax.random.key(0), seen[0])
     blank = lambda kept, new: kept if kept.shape == new.shape else jnp.zeros(new.shape, new.dtype)

@@ -1,12 +1,14 @@
 """States in order, and what networks make of them."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.agents import encoder
 from experiments.options import ConfigError
 from experiments.player import Player, play
 from experiments.trajectory import replayed
@@ -80,19 +82,12 @@ def features(player: Player, states: States) -> np.ndarray | None:
     Raises:
       ConfigError: this module has no features to show.
     """
-    motivation, state = player.agent.motivation, player.state
-    if motivation is None:
+    if player.agent.motivation is None:
         return None
-    read = motivation.module.features
-    if read is None:
+    encode = encoder(player.agent)
+    if encode is None:
         raise ConfigError(f"algo={player.config.algo.name} has no features to show")
-
-    @jax.jit
-    def encode(frames, action):
-        seen = scale_vectors(frames, state.observations, player.agent.unbounded)
-        return read(state.intrinsic, state.intrinsic_state, seen, action)
-
-    return in_batches(encode, states.frames, states.action)
+    return in_batches(partial(encode, player.state), states.frames, states.action)
 
 
 def torso(player: Player, states: States) -> np.ndarray:

@@ -58,6 +58,15 @@ def label(algo: str) -> str:
     return algo.upper().replace("_", "-") if algo in STYLES else algo
 
 
+def titled(algo: str, name: str) -> str:
+    """A group's name with its algorithm's label.
+
+    >>> titled("rnd", "rnd (eta=2)")
+    'RND (eta=2)'
+    """
+    return name.replace(algo, label(algo), 1)
+
+
 def panels(
     rows: int, columns: int, width: float = 7.2, height: float = 4.2, **options: Any
 ) -> tuple[Figure, Any]:

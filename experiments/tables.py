@@ -9,7 +9,7 @@ import numpy as np
 from experiments.estimates import improvements, interquartile_mean, interval
 from experiments.finished import Group, Seed
 from experiments.page import Table
-from experiments.style import label
+from experiments.style import titled
 
 THESIS = Path(__file__).parent / "data" / "thesis.csv"
 TABLES = {
@@ -89,7 +89,7 @@ def thesis_table(table: str, groups: list[Group]) -> Table:
                 found = [value for value in map(of, group.seeds) if np.isfinite(value)]
                 cells = [spread(found), str(len(found)), millions(group)]
             name = algo if group is None else group.name
-            rows.append([env, name.replace(algo, label(algo), 1), *cells, published(number)])
+            rows.append([env, titled(algo, name), *cells, published(number)])
     head = ["environment", "algorithm", "ours", "seeds", "steps, millions", "thesis"]
     return Table(head, rows, f"Table {table}: {TABLES[table]}", f"table-{table}")
 
@@ -109,7 +109,7 @@ def seeds_table(groups: list[Group]) -> Table:
         rows.append(
             [
                 group.env,
-                group.name.replace(group.algo, label(group.algo), 1),
+                titled(group.algo, group.name),
                 str(len(found)),
                 f"{interquartile_mean(found):.3g}" if len(found) else "",
                 "" if band is None else f"{band[0]:.3g} to {band[1]:.3g}",
