@@ -4,6 +4,7 @@
 # make test-survival  fifty kills, thousands of bad inputs, half an hour of load (an hour)
 # make bench  the benchmark of six algorithms against the committed figures (a quarter of an hour)
 # make check  formatter, linter and type checker
+# make .venv/.sweeps  launchers for clusters, and trackers, which the tests use too
 # make .venv  the environment alone; PYTHON=python3.12 picks another Python
 PYTHON ?= python3
 RUN := .venv/bin/python
@@ -15,16 +16,19 @@ RUN := .venv/bin/python
 	@command -v $(PYTHON) >/dev/null || { echo "sndjax: no $(PYTHON) here; install Python 3.11 or newer, or say make PYTHON=..." >&2; exit 2; }
 	@$(PYTHON) bootstrap.py
 
+.venv/.sweeps: .venv/.complete requirements-sweeps.txt
+	@$(PYTHON) bootstrap.py sweeps
+
 demo: .venv/.complete
 	@$(RUN) -m experiments.demo
 
-test: .venv/.complete
+test: .venv/.sweeps
 	@$(RUN) -m pytest -n 2 --dist worksteal
 
-test-all: .venv/.complete
+test-all: .venv/.sweeps
 	@$(RUN) -m pytest -n 2 --dist worksteal -m "not survival"
 
-test-survival: .venv/.complete
+test-survival: .venv/.sweeps
 	@$(RUN) -m pytest -m survival -s
 
 bench: .venv/.complete

@@ -1,5 +1,7 @@
 """Makes .venv with the pinned requirements: `make .venv` runs it with any Python.
 
+With `sweeps` it adds what sweeps on clusters and trackers need, which the tests use too.
+
 It must be readable by old Pythons, so that it can tell them that they are too old.
 """
 
@@ -89,15 +91,30 @@ def install(pip, title, *arguments):
     stop("installation failed, see .venv/install.log: %s" % last_line(text))
 
 
+def complete(name):
+    open(os.path.join(VENV, name), "w").close()
+
+
+def add_sweeps():
+    pip = [os.path.join(VENV, "bin", "python"), "-m", "pip"]
+    if not os.path.exists(os.path.join(VENV, "bin", "pip")):
+        pip = [sys.executable, "-m", "pip", "--python", os.path.join(VENV, "bin", "python")]
+    title = "installing launchers and trackers, about 400 MB"
+    install(pip, title, "--no-deps", "-r", "requirements-sweeps.txt")
+    complete(".sweeps")
+
+
 def main():
     check_platform()
+    if sys.argv[1:] == ["sweeps"]:
+        return add_sweeps()
     print("making .venv with %s" % sys.executable, flush=True)
     pip = make_venv()
     install(
         pip, "installing the pinned packages, about 1 GB", "--no-deps", "-r", "requirements.txt"
     )
     install(pip, "installing sndjax itself", "--no-deps", "--no-build-isolation", "-e", ".")
-    open(os.path.join(VENV, ".complete"), "w").close()
+    complete(".complete")
 
 
 if __name__ == "__main__":

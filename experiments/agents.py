@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sndjax
+from experiments.devices import ONE_DEVICE, OneDevice
 from experiments.environments import Pool
 from experiments.extension import load_module
 from experiments.options import COPYING, AlgoConfig, Config
@@ -78,13 +79,17 @@ def encoder(agent: sndjax.Agent) -> Callable[..., Any] | None:
     return encode
 
 
-def over_seeds(function: Callable[..., Any], seeds: int, shared: int = 0) -> Callable[..., Any]:
+def over_seeds(
+    function: Callable[..., Any], seeds: int, shared: int = 0, axis: str | None = None
+) -> Callable[..., Any]:
     """A function of leaves [S, ...]: mapped over seeds, its last `shared` arguments the same.
 
-    One seed is not mapped but squeezed: a batch axis of one costs time on a CPU.
+    One seed is not mapped but squeezed: a batch axis of one costs time on a CPU. On several
+    devices `axis` is the mesh's axis of seeds.
     """
     if seeds > 1:
-        return lambda *args: jax.vmap(function, [0] * (len(args) - shared) + [None] * shared)(*args)
+        in_axes = lambda args: [0] * (len(args) - shared) + [None] * shared
+        return lambda *args: jax.vmap(function, in_axes(args), spmd_axis_name=axis)(*args)
 
     def single(*args):
         own, same = args[: len(args) - shared], args[len(args) - shared :]
@@ -106,9 +111,9 @@ def first_states(agent: sndjax.Agent, seeds: list[int], example: Any) -> sndjax.
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
 
 
-def make_train_step(agent: sndjax.Agent, config: Config) -> Any:
+def make_train_step(agent: sndjax.Agent, config: Config, layout: OneDevice = ONE_DEVICE) -> Any:
     """`train_step` of every seed, leaves [S, ...], with what a number that goes wrong does."""
-    step = sndjax.make_train_step(agent)
+    step = sndjax.make_train_step(agent, layout.spread)
 
     def watched(state, batch):
         state, metrics, reward = step(state, batch)
@@ -116,4 +121,4 @@ def make_train_step(agent: sndjax.Agent, config: Config) -> Any:
         return state, metrics | {"state_finite": fine}, reward
 
     steps = {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}
-    return over_seeds(steps[config.on_nan], config.num_seeds)
+    return over_seeds(steps[config.on_nan], config.num_seeds, axis=layout.axis)

@@ -32,8 +32,9 @@ class Damaged(Exception):
 class Checkpoints:
     """The checkpoints of a run directory, numbered by iteration."""
 
-    def __init__(self, path: Path):
-        """Nothing is written yet."""
+    def __init__(self, path: Path, writes: bool = True):
+        """Nothing is written yet; of several hosts one writes."""
+        self.writes = writes
         self.path = (path / "checkpoints").resolve()
         self.newest: int | None = None  # iteration of the last one written or restored
         self.writer: threading.Thread | None = None
@@ -58,6 +59,9 @@ class Checkpoints:
           OSError: the one before could not be written.
         """
         self.wait()
+        if not self.writes:
+            self.newest = iteration
+            return
         tree = jax.tree.map(np.array, raw(state))  # a copy: the buffers will be used again
         self.writer = threading.Thread(target=self.work, args=(iteration, tree, more))
         self.writer.start()

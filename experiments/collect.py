@@ -18,6 +18,9 @@ from sndjax import Actor, Decision, Experience, Rollout
 class Track(NamedTuple):
     """What the log needs of a rollout beside what the learner does; arrays are [S, T, N]."""
 
+    valid: np.ndarray
+    done: np.ndarray
+    reward: np.ndarray
     score: np.ndarray
     room: np.ndarray | None
 
@@ -68,8 +71,9 @@ class HostFrames:
 class DeviceFrames:
     """A rollout's frames where it learns: each is copied there once, to be acted on."""
 
-    def __init__(self, shape: tuple[int, ...], dtype: Any):
-        """Frames are [S, T + 1, N, *frame]."""
+    def __init__(self, shape: tuple[int, ...], place: Callable[[np.ndarray], Any]):
+        """Frames are [S, T + 1, N, *frame]; `place` copies some to where they are learned from."""
+        self.place = place
         self.steps: list[list[jax.Array]] = [[] for _ in range(shape[1])]
 
         def joined(steps):
@@ -81,7 +85,7 @@ class DeviceFrames:
         """Keep the frames of step t of some environments; they are what the policy sees."""
         if own.start == 0:
             self.steps[t] = []
-        self.steps[t].append(jax.device_put(frame))
+        self.steps[t].append(self.place(frame))
         return self.steps[t][-1]
 
     def whole(self) -> Any:
@@ -108,7 +112,13 @@ class Collector:
     """
 
     def __init__(
-        self, pools: list[Pool], act: Callable[..., Any], stack: int, steps: int, heads: int
+        self,
+        pools: list[Pool],
+        act: Callable[..., Any],
+        stack: int,
+        steps: int,
+        heads: int,
+        place: Callable[[np.ndarray], Any] = jax.device_put,
     ):
         """Reset the pools.
 
@@ -118,13 +128,18 @@ class Collector:
           stack: frames in a stack.
           steps: T, rows of a rollout.
           heads: K, value heads.
+          place: copies frames [S, n, ...] to where they are learned from.
         """
         pool = pools[0]
         seeds, size = pool.rows
         envs = size * len(pools)
         self.act, self.steps = act, steps
-        kind = HostFrames if jax.default_backend() == "cpu" and len(pools) == 1 else DeviceFrames
-        self.frames = kind((seeds, steps + 1, envs, *pool.shape), pool.dtype)
+        shape, here = (seeds, steps + 1, envs, *pool.shape), jax.default_backend() == "cpu"
+        self.frames: HostFrames | DeviceFrames = (
+            HostFrames(shape, pool.dtype)
+            if here and len(pools) == 1
+            else DeviceFrames(shape, place)
+        )
         self.groups = [
             Group(
                 pool,
@@ -208,7 +223,7 @@ class Collector:
         frames = self.frames.whole()
         rollout = Rollout(frames, c["action"], c["first"], c["done"], c["valid"])
         batch = Experience(rollout, history, c["reward"], c["truncated"], c["log_prob"], self.value)
-        return batch, Track(c["score"], self.room)
+        return batch, Track(c["valid"], c["done"], c["reward"], c["score"], self.room)
 
     def close(self) -> None:
         """Stop the environments."""

@@ -5,6 +5,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 import time
 from pathlib import Path
 
@@ -27,6 +28,7 @@ class Directory:
           ConfigError: it is in use, holds something else, or cannot be written to.
         """
         self.path = Path(config.run_dir) if config.run_dir else fresh(config)
+        self.shared = self.path  # where all hosts read
         self.resumed = config.resume is not None
         self.made = missing(self.path)
         try:
@@ -94,6 +96,26 @@ class Directory:
             for name, version in made_with.items()
             if versions.get(name) != version
         ]
+
+
+class Elsewhere:
+    """What a host has that does not lead: it reads the run, and what it writes is thrown away."""
+
+    def __init__(self, config: Config):
+        """Find the run; `run_dir` was said."""
+        self.shared, self.path = Path(str(config.run_dir)), Path(tempfile.mkdtemp())
+        self.resumed = config.resume is not None
+
+    def begin(self, config: Config, versions: dict[str, str]) -> list[str]:
+        """The first host writes the configuration."""
+        return []
+
+    def abandon(self) -> None:
+        """The run was refused."""
+
+    def close(self) -> None:
+        """Throw away what was written."""
+        shutil.rmtree(self.path, ignore_errors=True)
 
 
 def fresh(config: Config) -> Path:

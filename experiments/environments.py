@@ -262,7 +262,12 @@ class GymnasiumPool(Pool):
 
 
 def make_pools(
-    config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0, groups: int = 1
+    config: EnvConfig,
+    seeds: list[int],
+    num_envs: int,
+    start: int = 0,
+    groups: int = 1,
+    mine: slice = slice(None),
 ) -> list[Pool]:
     """The environments of a configuration, in groups that step apart from each other.
 
@@ -272,13 +277,14 @@ def make_pools(
       num_envs: environments of each.
       start: the iteration the run starts at.
       groups: in how many pools; the streams of the environments do not depend on it.
+      mine: the environments of each seed that this host steps.
 
     Raises:
       ConfigError: this task cannot be made with these options, or not be trained on.
     """
     kind = EnvpoolPool if config.suite == "envpool" else GymnasiumPool
-    streams = [seeds_of(seed, num_envs, start) for seed in seeds]
-    size = num_envs // groups
+    streams = [seeds_of(seed, num_envs, start)[mine] for seed in seeds]
+    size = len(streams[0]) // groups
     return [
         kind(config, [own[k * size : (k + 1) * size] for own in streams]) for k in range(groups)
     ]

@@ -127,6 +127,15 @@ class Config:
         None, "a run directory to go on from; auto: run_dir, if there is a run in it"
     )
     repeat: str | None = option(None, "the config.yaml of a run, to run it again")
+    tracker: str = option(
+        "none",
+        "who else is told of metrics.jsonl, on this machine (docs/sweeps.md)",
+        choices=("none", "mlflow", "wandb"),
+    )
+    distributed: bool = option(
+        False, "this is one of several processes of a run, one per host (docs/sweeps.md)"
+    )
+    group: str | None = option(None, "what a tracker files the run under; a sweep's directory")
     on_nan: str = option(
         "stop",
         "a number that is not finite stops the run, skips the iteration, or is ignored",

@@ -91,7 +91,7 @@ def replay(agent: Any, config: Config, state: Any, batch: Any) -> None:
     metrics: dict[str, list[float]] = {
         name: value.tolist() for name, value in step(state, batch)[1].items()
     }
-    found = not_finite(config.seeds, batch, metrics)
+    found = not_finite(config.seeds, batch.reward, batch.rollout.valid, metrics)
     for line in found:
         print(f"after the update, {line}")
     if not found:

@@ -8,9 +8,9 @@ import os
 import sys
 
 from experiments.config import help_text, load
-from experiments.directory import Directory
+from experiments.directory import Directory, Elsewhere
 from experiments.interrupts import Interrupted, Interrupts
-from experiments.options import ConfigError
+from experiments.options import Config, ConfigError
 from experiments.process import before_jax
 from experiments.stored import CONFIG
 
@@ -21,9 +21,9 @@ def refuse(error: object, status: int = 2) -> int:
     return status
 
 
-def how_to_go_on(directory: Directory | None) -> str:
+def how_to_go_on(directory: Directory | Elsewhere | None) -> str:
     """The option that goes on with what stands in the directory, if anything does."""
-    path = directory.path if directory else None
+    path = directory.shared if directory else None
     return f"; go on with resume={path}" if path and (path / CONFIG).exists() else ""
 
 
@@ -51,16 +51,40 @@ def main(arguments: list[str] | None = None) -> int:
     if any(argument in ("-h", "--help", "help") for argument in arguments):
         print(help_text())
         return 0
+    if set(arguments) & {"-m", "--multirun"}:
+        from experiments.sweep import multirun
+
+        try:
+            return multirun(arguments)
+        except ConfigError as error:
+            return refuse(error)
     with Interrupts() as interrupts:
         return run(arguments, interrupts)
 
 
+def leads(config: Config) -> bool:
+    """Whether this process writes what the run leaves; of several the first does."""
+    if not config.distributed:
+        return True
+    if config.run_dir is None:
+        raise ConfigError("distributed=true needs run_dir=DIRECTORY, one that all hosts see")
+    before_jax()
+    import jax
+
+    from experiments.devices import join_hosts
+
+    join_hosts()
+    if jax.process_index() > 0:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # one display for all
+    return jax.process_index() == 0
+
+
 def run(arguments: list[str], interrupts: Interrupts) -> int:
     """The run that the arguments ask for; its exit status."""
-    directory = None
+    directory: Directory | Elsewhere | None = None
     try:
         config = load(arguments)
-        directory = Directory(config)
+        directory = Elsewhere(config) if not leads(config) else Directory(config)
         before_jax()
         from experiments.training import train
 

@@ -17,7 +17,8 @@ from experiments.validate import BY_ID, GROUPS, options, validated, value_of
 
 CONFIG = "config.yaml"
 MADE_WITH = "made_with"
-FREE = ("total_steps", "resume", "repeat", "run_dir")  # what may change when a run goes on
+# What may change when a run goes on.
+FREE = ("total_steps", "resume", "repeat", "run_dir", "tracker", "group", "distributed")
 
 
 class Stored(NamedTuple):
@@ -145,7 +146,7 @@ def apply(stored: Config, overrides: dict[str, Override], what: str) -> Config:
             continue
         if key == "algo" and now == "module" and stored.algo.module is not None:
             continue
-        if key == "total_steps":
+        if key in FREE:
             changed[key] = now
         elif was != now:
             raise ConfigError(f"{what}: the run has {key}={was}, not {now}")

@@ -29,12 +29,13 @@ def stage(name: str) -> tuple[int, int]:
     return (2, 1 + LAST.index(name) if name in LAST else 0)
 
 
-def not_finite(seeds: list[int], batch: Experience, metrics: dict[str, list[float]]) -> list[str]:
+def not_finite(
+    seeds: list[int], reward: Any, valid: Any, metrics: dict[str, list[float]]
+) -> list[str]:
     """The terms that are not finite, each with its seed, in the order of their computation."""
     found = []
     for i, seed in enumerate(seeds):
-        reward = np.asarray(batch.reward[i])[np.asarray(batch.rollout.valid[i])]
-        terms = {"ext_reward": float(reward.sum())}
+        terms = {"ext_reward": float(np.asarray(reward[i])[np.asarray(valid[i])].sum())}
         terms |= {name: values[i] for name, values in metrics.items()}
         if not terms.pop("state_finite", True):
             terms["state"] = math.nan

@@ -1,7 +1,9 @@
 """The run itself: pool -> rollout -> train_step -> log, iteration after iteration."""
 
+import signal
 import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
 
@@ -13,7 +15,8 @@ import sndjax
 from experiments.agents import build, first_states, make_train_step, over_seeds
 from experiments.checkpoint import Checkpoints, Damaged
 from experiments.collect import Collector, Track, groups_of
-from experiments.directory import Directory
+from experiments.devices import layout
+from experiments.directory import Directory, Elsewhere
 from experiments.environments import make_pools
 from experiments.episodes import Episodes
 from experiments.estimate import seconds
@@ -25,6 +28,7 @@ from experiments.progress import Progress, clock
 from experiments.records import LOGS, Records, check_logs, mean_line
 from experiments.stored import check_settings, settings
 from experiments.symptoms import Signs, dump, not_finite
+from experiments.trackers import Tracker
 from experiments.versions import versions
 
 WIDE = ("re3", "e3b", "ngu")  # signals whose unit is not that of a squared feature
@@ -37,19 +41,20 @@ GRACE_SECONDS = 4  # that an update may go on after SIGTERM, so that its checkpo
 class Run:
     """A run and what it holds open."""
 
-    def __init__(self, config: Config, directory: Directory):
+    def __init__(self, config: Config, directory: Directory | Elsewhere):
         """Prepare everything that can refuse the configuration; compile nothing yet."""
         keep_compilations()
         self.config, self.path = config, directory.path
         self.seeds = config.seeds
-        self.checkpoints = Checkpoints(directory.path)
+        self.layout = layout(config)
+        self.checkpoints = Checkpoints(directory.shared, self.layout.leads)
         self.done = 0  # iterations
         self.manifest: dict[str, Any] = {}  # of the checkpoint that the run goes on from
         self.said: list[str] = []  # before there was a display
         found = self.find_checkpoint() if directory.resumed else None
-        pools = make_pools(
-            config.env, self.seeds, config.num_envs, self.done, groups_of(config.num_envs)
-        )
+        mine = self.layout.envs(config.num_envs)
+        groups = groups_of(config.num_envs) if self.layout.hosts == 1 else 1
+        pools = make_pools(config.env, self.seeds, config.num_envs, self.done, groups, mine)
         self.pool = pools[0]
         self.agent = build(config, self.pool)
         self.glimpses = Glimpses(self.agent)
@@ -59,20 +64,25 @@ class Run:
             jax.eval_shape(partial(sndjax.init, self.agent), jax.random.key(0), example)
         except ValueError as error:  # an objective that this environment has nothing for
             raise ConfigError(f"algo={config.algo.name}: {error}") from None
-        act = jax.jit(over_seeds(partial(sndjax.act, self.agent), config.num_seeds, shared=1))
-        heads = self.agent.network.value_heads
-        self.collector = Collector(pools, act, config.env.stack, config.rollout_length, heads)
-        self.train_step = jax.jit(make_train_step(self.agent, config), donate_argnums=0)
+        own = partial(sndjax.act, self.agent)
+        act = self.layout.act(over_seeds(own, config.num_seeds, 1, self.layout.axis))
+        heads, stack = self.agent.network.value_heads, config.env.stack
+        self.collector = Collector(
+            pools, act, stack, config.rollout_length, heads, self.layout.frames
+        )
+        self.train_step = self.layout.learn(make_train_step(self.agent, config, self.layout))
         self.update: Any = None  # the compiled train_step
         self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
         self.state: sndjax.TrainState | None = None  # None: not made yet, or in an update
         if found is not None:
             try:
-                self.state = self.checkpoints.load(found, jax.eval_shape(self.fresh))
+                stored = self.checkpoints.load(found, jax.eval_shape(self.fresh))
             except Damaged as error:
                 raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
+            self.state = self.layout.states(stored)
         self.saved, self.looked = time.monotonic(), -float("inf")
         self.expected: float | None = None  # seconds of an update
+        self.tracker = Tracker(config, self.path)
 
     def find_checkpoint(self) -> int | None:
         """The iteration to go on from, if the run had got so far as to have a first checkpoint.
@@ -84,7 +94,7 @@ class Run:
             found, self.manifest, self.said = self.checkpoints.find(self.check)
         except Damaged as error:
             raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
-        log = self.path / LOGS[0]
+        log = self.checkpoints.path.parent / LOGS[0]
         if found is None and log.exists() and log.stat().st_size:
             raise ConfigError(
                 f"resume={self.path}: nothing to go on from: there are logs and no checkpoint"
@@ -95,30 +105,35 @@ class Run:
     def check(self, manifest: dict[str, Any]) -> None:
         """Raise ValueError unless a checkpoint belongs to this configuration and these logs."""
         check_settings(self.config, manifest["settings"])
-        check_logs(self.path, self.seeds, manifest["logs"])
+        check_logs(self.checkpoints.path.parent, self.seeds, manifest["logs"])
 
     def train(self, interrupts: Interrupts) -> None:
         """Train to the last iteration, logging each."""
         self.interrupts = interrupts
         config, rows = self.config, self.config.rows
         total = config.iterations * rows
-        logs = self.manifest.get("logs", {})
+        logs = self.manifest.get("logs", {}) if self.layout.leads else {}
+        self.layout.meet("before the first line is written")
         self.records = Records(self.path, self.seeds, self.pool.rooms, logs)
         title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {self.path}"
         self.progress = Progress(title, total, self.done * rows)
         for line in [*self.said, *self.announcements()]:
             self.progress.say(line)
+        self.tracker.take_in(list(self.records.past()))
+        finished = False
         try:
             try:
                 self.iterate()
             except Interrupted:
                 self.save_before_leaving()
                 raise
+            finished = True
             self.records.summarize(self.done * rows)
             self.progress.say(f"finished: {self.path}")
         finally:
             self.progress.close()
             self.checkpoints.join()
+            self.tracker.close(finished)
             self.records.close()
             self.collector.close()
 
@@ -140,7 +155,7 @@ class Run:
             return
         progress.phase("compiling the policy")
         if self.state is None:
-            self.state = self.fresh()
+            self.state = self.layout.states(self.fresh())
             self.save()  # so that there is always one to go on from
         episodes = Episodes(self.seeds, config.num_envs, self.pool.rooms)
         signs = {seed: Signs(self.pool.num_actions) for seed in self.seeds}
@@ -150,7 +165,7 @@ class Run:
             begun = time.monotonic()
             batch, track = self.collect()
             collected = time.monotonic()
-            metrics, int_reward = self.learn(batch)
+            metrics, int_reward = self.learn(batch, track)
             gone = time.monotonic() - begun
             times = {
                 "steps_per_second": config.rows / gone,
@@ -160,25 +175,26 @@ class Run:
             self.records.wall_seconds += gone
             ended = episodes.take_in(
                 self.done * config.rows,
-                batch.rollout.valid,
-                batch.rollout.done,
-                (batch.reward, track.score, int_reward),
+                track.valid,
+                track.done,
+                (track.reward, track.score, int_reward),
                 track.room,
             )
             self.done += 1
-            lines = self.log(batch, metrics, ended, times)
+            lines = self.log(track, metrics, ended, times)
             progress.iteration(mean_line(lines))
             for line in lines:
                 for warning in signs[line["seed"]].take_in(line):
                     progress.say(warning)
-            due = self.done % config.checkpoint_every == 0 or gone > LONG_SECONDS
-            if due or time.monotonic() - self.saved > CHECKPOINT_SECONDS:
+            late = gone > LONG_SECONDS or time.monotonic() - self.saved > CHECKPOINT_SECONDS
+            if self.done % config.checkpoint_every == 0 or self.layout.any(late):
                 self.save()
-                self.interrupts.check()
                 self.look(batch, int_reward)
+            if self.layout.any(self.interrupts.received is not None):
+                raise Interrupted(self.interrupts.received or signal.SIGTERM)
         self.save()
         progress.phase("saving")
-        self.checkpoints.wait()
+        self.settle()
 
     def collect(self) -> tuple[sndjax.Experience, Track]:
         """The next rollout."""
@@ -187,13 +203,17 @@ class Run:
 
         def stepped(step: int) -> None:
             self.interrupts.begin()  # the policy is compiled: from here on a check is never far
-            self.interrupts.check()
+            if self.layout.hosts == 1:  # several stop together, after an iteration
+                self.interrupts.check()
             self.progress.within(step / self.config.rollout_length)
 
         actor = sndjax.Actor(self.state.policy, self.state.observations, self.state.key)
-        return self.collector.collect(actor, stepped)
+        batch, track = self.collector.collect(actor, stepped)
+        return self.layout.batch(batch), self.layout.everywhere(track)
 
-    def learn(self, batch: sndjax.Experience) -> tuple[dict[str, list[float]], np.ndarray]:
+    def learn(
+        self, batch: sndjax.Experience, track: Track
+    ) -> tuple[dict[str, list[float]], np.ndarray]:
         """Update every seed's state; their metrics and intrinsic rewards, [S, ...].
 
         Raises:
@@ -204,11 +224,12 @@ class Run:
         if self.update is None:
             self.compile(state, batch)
         # The update uses the state's memory again. On the disk or here, one copy stays.
-        before = self.copy(state) if self.checkpoints.newest != self.done else None
+        kept = self.checkpoints.newest == self.done and self.layout.hosts == 1
+        before = None if kept else self.copy(state)
         self.progress.phase("learning", self.expected)
         begun = time.monotonic()
         try:
-            with self.interrupts.waiting(GRACE_SECONDS):
+            with self.breakable(GRACE_SECONDS):
                 self.state = None
                 state, found, reward = jax.block_until_ready(self.update(state, batch))
         except Interrupted:
@@ -216,18 +237,22 @@ class Run:
             raise
         self.expected = time.monotonic() - begun
         metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
-        wrong = not_finite(self.seeds, batch, metrics)
+        wrong = not_finite(self.seeds, track.reward, track.valid, metrics)
         if wrong and self.config.on_nan == "stop":
             raise FloatingPointError(self.went_wrong(wrong, before, batch))
         metrics.pop("state_finite", None)
         self.state = state
         return metrics, np.asarray(reward)
 
+    def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
+        """Inside, a signal breaks off the wait; not of one host, while others wait for it."""
+        return self.interrupts.waiting(grace) if self.layout.hosts == 1 else nullcontext()
+
     def compile(self, state: sndjax.TrainState, batch: sndjax.Experience) -> None:
         """Compile the update, and estimate how long one takes."""
         self.progress.phase("compiling the update")
         begun = time.monotonic()
-        with self.interrupts.waiting():
+        with self.breakable():
             traced = self.train_step.trace(state, batch)
             self.update = traced.lower().compile()
         self.expected = seconds(traced.jaxpr.jaxpr)
@@ -250,7 +275,9 @@ class Run:
             self.state = before
             self.save()
             self.checkpoints.wait()
-            dump(where, self.config, versions(), before, batch)
+            before, batch = self.layout.whole((before, batch))
+            if self.layout.leads:
+                dump(where, self.config, versions(), before, batch)
         except (OSError, Damaged) as error:
             return f"{said}; what it came from could not be kept: {error}"
         return (
@@ -260,7 +287,7 @@ class Run:
 
     def log(
         self,
-        batch: sndjax.Experience,
+        track: Track,
         metrics: dict[str, list[float]],
         ended: list[list[Any]],
         times: dict[str, Any],
@@ -268,7 +295,7 @@ class Run:
         """A line for every seed."""
         records, config = self.records, self.config
         step = self.done * config.rows
-        valid = batch.rollout.valid.sum((1, 2)).tolist()
+        valid = np.asarray(track.valid).sum((1, 2)).tolist()
         lines = []
         for i in range(len(self.seeds)):
             records.transitions[i] += valid[i]
@@ -284,12 +311,13 @@ class Run:
             }
             lines.append(records.take_in(i, ended[i], entry))
         records.flush()
+        self.tracker.take_in(lines)
         return lines
 
     def look(self, batch: sndjax.Experience, int_reward: np.ndarray) -> None:
         """Let TensorBoard have a look, now and then; no run ends over a picture."""
         now = time.monotonic()
-        if now - self.looked < LOOK_SECONDS:
+        if now - self.looked < LOOK_SECONDS or self.layout.hosts > 1:
             return
         try:
             self.glimpses.look(self.records.boards, self.seeds, self.state, batch, int_reward)
@@ -303,13 +331,19 @@ class Run:
     def save(self) -> None:
         """Begin to write a checkpoint; what it says of the logs is on the disk before it is."""
         assert self.state is not None
-        self.checkpoints.wait()
+        self.settle()
         if self.checkpoints.newest == self.done:
             return
         self.records.summarize(self.done * self.config.rows)
         manifest = self.records.manifest() | {"settings": settings(self.config)}
-        self.checkpoints.save(self.done, self.state, manifest)
+        self.checkpoints.save(self.done, self.layout.whole(self.state), manifest)
         self.saved = time.monotonic()
+
+    def settle(self) -> None:
+        """Wait until the newest checkpoint is on the disk, and tell the tracker what it covers."""
+        self.checkpoints.wait()
+        if trouble := self.tracker.tell(self.checkpoints.newest):
+            self.progress.say(trouble)
 
     def save_before_leaving(self) -> None:
         """A checkpoint of this moment, unless the state is inside an update that was broken off."""
@@ -317,12 +351,12 @@ class Run:
         try:
             if self.state is not None:
                 self.save()
-            self.checkpoints.wait()
+            self.settle()
         except OSError as error:
             self.progress.say(f"no checkpoint of this moment: {error}")
 
 
-def train(config: Config, directory: Directory, interrupts: Interrupts) -> None:
+def train(config: Config, directory: Directory | Elsewhere, interrupts: Interrupts) -> None:
     """Train the configuration in its directory, or go on with what is there.
 
     Raises:

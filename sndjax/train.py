@@ -22,6 +22,13 @@ from sndjax.scaling import scale_reward
 from sndjax.statistics import expand, init_return_scale, no_moments, update_moments
 from sndjax.types import Experience, Metrics, TrainState
 
+Spread = Callable[[Any], Any]
+
+
+def alone(rows: Any) -> Any:
+    """All rows of a minibatch on one device."""
+    return rows
+
 
 def init(agent: Agent, key: PRNGKeyArray, example: Shaped[Array, "N *frame"]) -> TrainState:
     """The state before the first iteration; `example` gives the shape and dtype of frames."""
@@ -104,6 +111,7 @@ def train_policy(
     advantage: Float[Array, "T N"],
     target: Float[Array, "T N K"],
     key: PRNGKeyArray,
+    spread: Spread = alone,
 ) -> tuple[TrainState, Metrics]:
     """The PPO epochs: one permutation of the rollout, gone through `epochs` times."""
     hyper, rollout = agent.ppo, batch.rollout
@@ -122,11 +130,9 @@ def train_policy(
     def minibatch(carry, index):
         params, optimizer_state = carry
         seen = stacks(index)
-        (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(
-            params,
-            jnp.where(expand(valid[index], seen), seen, jnp.zeros_like(seen)),
-            *(c[index] for c in columns),
-        )
+        seen = jnp.where(expand(valid[index], seen), seen, jnp.zeros_like(seen))
+        rows = spread((seen, *(c[index] for c in columns)))
+        (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(params, *rows)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         metrics |= {"ppo_loss": total, "grad_norm": optax.tree.norm(gradient)}
         return (optax.apply_updates(params, updates), optimizer_state), metrics
@@ -138,7 +144,11 @@ def train_policy(
 
 
 def train_module(
-    agent: Agent, state: TrainState, batch: Experience, key: PRNGKeyArray
+    agent: Agent,
+    state: TrainState,
+    batch: Experience,
+    key: PRNGKeyArray,
+    spread: Spread = alone,
 ) -> tuple[TrainState, Metrics]:
     """One pass of the motivation module over the rollout."""
     motivation, rollout = agent.motivation, batch.rollout
@@ -163,7 +173,7 @@ def train_module(
             else consecutive(rollout, index[0], motivation.minibatch_size)
         )
         (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
-            params, module_state, batch, rollout, key
+            params, module_state, spread(batch), rollout, key
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         params = optax.apply_updates(params, updates)
@@ -221,13 +231,18 @@ def intrinsic_reward(
 
 
 def make_train_step(
-    agent: Agent,
+    agent: Agent, spread: Spread = alone
 ) -> Callable[[TrainState, Experience], tuple[TrainState, Metrics, Float[Array, "T N"]]]:
     """`train_step(state, batch)`: the whole of one iteration's learning, to be jitted.
 
     The step returns the new state, the iteration's metrics (scalars; losses are means over
     its minibatches) and the intrinsic rewards. It is pure: `jax.vmap` of it trains one
     agent per seed. Both minibatch sizes must divide T * N.
+
+    Args:
+      agent: what learns.
+      spread: applied to the rows `[B, ...]` of every minibatch; on several devices it says
+        which of them computes which rows (`jax.lax.with_sharding_constraint`).
 
     >>> from sndjax import VECTOR, ActorCritic, Experience, Rollout
     >>> agent = Agent(ActorCritic(VECTOR, 3, value_heads=1), ppo.Hyperparameters(minibatch_size=4))
@@ -254,9 +269,9 @@ def make_train_step(
         )
         state, int_reward, metrics = intrinsic_reward(agent, state, batch, key_reward)
         advantage, target = advantages(agent.ppo, batch, int_reward)
-        state, terms = train_policy(agent, state, batch, advantage, target, key_policy)
+        state, terms = train_policy(agent, state, batch, advantage, target, key_policy, spread)
         metrics |= terms
-        state, terms = train_module(agent, state, batch, key_module)
+        state, terms = train_module(agent, state, batch, key_module, spread)
         metrics |= terms
         if any(agent.unbounded):
             moments = update_moments(state.observations, raw[:-1], valid)

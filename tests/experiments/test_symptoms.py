@@ -22,7 +22,7 @@ def test_terms_that_are_not_finite_are_named_with_their_seed_in_order():
         "policy_loss": [-math.inf, math.nan],
         "state_finite": [True, False],
     }
-    assert not_finite([4, 5], made, metrics) == [
+    assert not_finite([4, 5], made.reward, made.rollout.valid, metrics) == [
         "seed 4: policy_loss is -inf",
         "seed 5: ext_reward is inf",
         "seed 5: int_reward_mean is nan",

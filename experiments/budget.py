@@ -1,0 +1,153 @@
+"""python -m experiments.budget: what a sweep of the thesis' size costs, on paper.
+
+Takes the cells of conf/sweep/thesis.yaml (or sweep=NAME), the measured shares of docs/results/
+bench-cpu.json (and bench-gpu.json, where there is one), each algorithm's work per step, the size
+of its state, and says how long the sweep takes on two cores and on GPUs, what it holds in memory
+and on the disk, and what limits it. Where no GPU was measured, a GPU is as fast as the
+environments beside it, and the table says how much of its arithmetic that takes.
+"""
+
+import heapq
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from experiments.arguments import command
+from experiments.options import option
+from experiments.process import before_jax
+
+LOG_BYTES = 1100  # of a line of metrics.jsonl, with TensorBoard's copy of its figures twice that
+KEPT = 3  # checkpoints: the newest two and the best
+HOUR = 3600.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """What may be said."""
+
+    sweep: str = option("thesis", "a file of conf/sweep")
+    cores: int = option(16, "processor cores beside each GPU", low=1)
+    gpu_tflops: float = option(
+        494.0, "dense TF32 peak of one GPU, 10^12 operations/s (H100 SXM's data sheet)", above=0
+    )
+
+
+class Kind(NamedTuple):
+    """What the runs of one algorithm on one kind of input cost."""
+
+    runs: int
+    steps: int  # of each
+    gflop: float  # per step
+    state_mb: float
+    iterations: int
+
+
+def kinds_of(sweep: str) -> dict[tuple[str, str], Kind]:
+    """By algorithm and family."""
+    import jax
+
+    from experiments import cells
+    from experiments.config import load
+    from experiments.cost import INPUTS, giga_per_step, thesis
+    from experiments.progress import Bars
+    from experiments.sweep import asked_of_hydra
+    from sndjax.algorithms import NAMED
+
+    params = asked_of_hydra([f"sweep={sweep}"]).sweeper.params
+    found: dict[tuple[str, str], Kind] = {}
+    everything = cells.product([f"{key}={value}" for key, value in params.items()])
+    with Bars() as bars:
+        for overrides in bars.over("cells", everything):
+            config = load(overrides)
+            family = "Atari" if config.env.stack == 4 else "Procgen"
+            key = (config.algo.name, family)
+            if key not in found:
+                size, _, _, actions = INPUTS[family]
+                make: Any = NAMED[config.algo.name]
+                module = make(actions, size) if make else None
+                state = thesis(module, family)[1]._replace(key=jax.numpy.zeros(()))
+                megabytes = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state)) / 1e6
+                work = giga_per_step(module, family)
+                found[key] = Kind(0, config.total_steps, work, megabytes, config.iterations)
+            found[key] = found[key]._replace(runs=found[key].runs + 1)
+    return found
+
+
+def makespan(hours: list[float], machines: int) -> float:
+    """The hours until the last of some runs is over, the longest begun first.
+
+    >>> makespan([3.0, 2.0, 2.0, 1.0], 2)
+    4.0
+    """
+    free = [0.0] * machines
+    for own in sorted(hours, reverse=True):
+        heapq.heapreplace(free, free[0] + own)
+    return max(free)
+
+
+def report(options: Options) -> str:
+    """The tables, in Markdown."""
+    from experiments.benches import figures
+
+    measured = json.loads(figures("cpu").read_text())
+    path: Path = figures("gpu")
+    gpu = json.loads(path.read_text()) if path.exists() else {}
+    cautious = min(one["share_of_peak"] for one in measured.values())
+    product = sorted(one["matmul_gflops"] for one in measured.values())[len(measured) // 2]
+    stepping = [one["seconds_per_1000_steps"]["environment"] for one in measured.values()]
+    pool = 1000 / sorted(stepping)[len(stepping) // 2] / 2 * options.cores  # steps/s beside a GPU
+    lines = [
+        "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | disk a run, MB "
+        "| hours on two cores | GPU hours |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    slow: list[float] = []
+    fast: list[float] = []
+    disk, needed = 0.0, 0.0
+    for (algo, family), kind in sorted(kinds_of(options.sweep).items()):
+        share = measured.get(algo, {}).get("share_of_peak", cautious)
+        rate = gpu.get(algo, {}).get("steps_per_second", pool)
+        needed = max(needed, rate * kind.gflop / 1e3)
+        two_cores = kind.steps * kind.gflop / (share * product) / HOUR
+        on_gpu = kind.steps / rate / HOUR
+        own = KEPT * kind.state_mb + 3 * LOG_BYTES * kind.iterations / 1e6
+        disk += kind.runs * own
+        slow += [two_cores] * kind.runs
+        fast += [on_gpu] * kind.runs
+        lines.append(
+            f"| `{algo}` | {family} | {kind.runs} | {kind.steps / 1e6:,.0f} | {kind.gflop:.2f} "
+            f"| {kind.state_mb:,.0f} | {own:,.0f} | {two_cores:,.0f} | {on_gpu:.1f} |"
+        )
+    resident = max(one["peak_rss_mb"] for one in measured.values()) / 1e3
+    how = "as measured (bench-gpu.json)" if gpu else f"of {pool:,.0f} steps/s, as its environments"
+    lines += [
+        "",
+        f"{len(fast)} runs, {sum(slow):,.0f} hours on machines of two cores, "
+        f"{sum(fast):,.0f} hours on GPUs {how}; {disk / 1e3:,.0f} GB on the disk; "
+        f"{resident:.1f} GB of memory for each run at once.",
+        "",
+        "| GPUs | days | runs at once | memory, GB | what limits it |",
+        "|---|---|---|---|---|",
+    ]
+    for count in (1, 8, 64):
+        days = makespan(fast, count) / 24
+        lines.append(
+            f"| {count} | {days:,.1f} | {count} | {count * resident:,.0f} "
+            f"| {options.cores} cores of environments a GPU, while a learner reaches "
+            f"{needed:,.0f} TFLOP/s ({needed / options.gpu_tflops:.0%} of its peak) |"
+        )
+    return "\n".join(lines)
+
+
+def main(arguments: list[str]) -> int:
+    """Print the tables."""
+    return command(
+        __doc__ or "", Options, lambda _, own: print(report(own)), arguments, needs_places=False
+    )
+
+
+if __name__ == "__main__":
+    before_jax()
+    sys.exit(main(sys.argv[1:]))

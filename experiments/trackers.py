@@ -1,0 +1,177 @@
+"""Weights & Biases and MLflow: views of metrics.jsonl, on this machine unless told otherwise.
+
+A tracker is told of an iteration once its checkpoint is on the disk, and told once: what is cut
+off the logs when a run goes on was never there.
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.directory import replace
+from experiments.options import Config, ConfigError
+from experiments.stored import settings
+
+TOLD = "tracker.json"
+NOT_FIGURES = ("seed", "step", "iteration")
+Lines = list[dict[str, Any]]
+
+
+class Tracker:
+    """One run of the tracker for every seed, opened again by its id when a run goes on."""
+
+    def __init__(self, config: Config, path: Path):
+        """Open it.
+
+        Raises:
+          ConfigError: its package is not there, or it refuses.
+        """
+        self.config, self.path = config, path
+        try:
+            before = json.loads((path / TOLD).read_text())
+        except (OSError, ValueError):
+            before = {}
+        mine = before.get("tracker") == config.tracker
+        self.ids: dict[str, str] = before.get("ids", {}) if mine else {}
+        self.told = int(before.get("iteration", 0)) if mine else 0
+        self.lines: Lines = []
+        self.broken = ""
+        kinds: dict[str, Callable[[], Any]] = {
+            "none": lambda: None,
+            "mlflow": lambda: MLflow(config, self.ids),
+            "wandb": lambda: WandB(config, path, self.ids),
+        }
+        try:
+            self.service = kinds[config.tracker]()
+        except ImportError:
+            hint = f"pip install '.[{config.tracker}]'"
+            raise ConfigError(f"tracker={config.tracker} is not installed: {hint}") from None
+        except Exception as error:  # whatever a service may raise
+            raise ConfigError(f"tracker={config.tracker}: {error}") from None
+
+    def take_in(self, lines: Sequence[dict[str, Any]]) -> None:
+        """Keep lines of metrics.jsonl until they are told."""
+        if self.service is not None and not self.broken:
+            self.lines += [line for line in lines if line["iteration"] > self.told]
+
+    def tell(self, iteration: int | None) -> str:
+        """Tell the lines up to an iteration whose checkpoint is safe; why it gave up, if it did."""
+        ready = [line for line in self.lines if line["iteration"] <= (iteration or 0)]
+        if not ready:
+            return ""
+        try:
+            for seed in self.config.seeds:
+                self.service.log(seed, [line for line in ready if line["seed"] == seed])
+        except Exception as error:  # no run ends over its tracker
+            self.broken, self.lines = f"tracker={self.config.tracker} is told no more: {error}", []
+            return self.broken
+        self.lines = self.lines[len(ready) :]
+        self.told = ready[-1]["iteration"]
+        entry = {"tracker": self.config.tracker, "iteration": self.told, "ids": self.ids}
+        replace(self.path / TOLD, json.dumps(entry) + "\n")
+        return ""
+
+    def close(self, finished: bool) -> None:
+        """End the tracker's runs."""
+        if self.service is not None and not self.broken:
+            self.service.close(finished)
+
+
+def figures(line: dict[str, Any]) -> dict[str, float]:
+    """What of a line is drawn over steps.
+
+    >>> figures({"seed": 0, "step": 8, "iteration": 1, "score": None, "entropy": 0.5})
+    {'entropy': 0.5}
+    """
+    return {k: v for k, v in line.items() if k not in NOT_FIGURES and v is not None}
+
+
+def title(config: Config, seed: int) -> str:
+    """What a seed's run is called."""
+    return f"{config.env.name}/{config.algo.name}/{seed}"
+
+
+def group(config: Config) -> str:
+    """What runs are filed under."""
+    return Path(config.group).name if config.group else "sndjax"
+
+
+class MLflow:
+    """MLflow; in ./mlruns, or where MLFLOW_TRACKING_URI says."""
+
+    def __init__(self, config: Config, ids: dict[str, str]):
+        """Open a run for every seed; `ids` keeps them."""
+        os.environ.setdefault("MLFLOW_ALLOW_FILE_STORE", "true")
+        from mlflow import MlflowClient
+        from mlflow.entities import Metric, Param
+
+        self.metric, self.ids = Metric, ids
+        place = os.environ.get("MLFLOW_TRACKING_URI", Path("mlruns").resolve().as_uri())
+        self.client = MlflowClient(tracking_uri=place)
+        found = self.client.get_experiment_by_name(group(config))
+        experiment = (
+            self.client.create_experiment(group(config)) if found is None else found.experiment_id
+        )
+        params = [Param(k, str(v)) for k, v in settings(config).items() if k != "seed"]
+        for seed in config.seeds:
+            if str(seed) in ids:
+                self.client.update_run(ids[str(seed)], status="RUNNING")
+                continue
+            run = self.client.create_run(experiment, run_name=title(config, seed))
+            ids[str(seed)] = run.info.run_id
+            own = [*params, Param("seed", str(seed))]
+            self.client.log_batch(run.info.run_id, params=own)
+
+    def log(self, seed: int, lines: Lines) -> None:
+        """Log the lines of a seed, a thousand figures at a time, which is MLflow's limit."""
+        now = time.time_ns() // 10**6
+        metrics = [
+            self.metric(key, float(value), now, line["step"])
+            for line in lines
+            for key, value in figures(line).items()
+        ]
+        for begin in range(0, len(metrics), 1000):
+            self.client.log_batch(self.ids[str(seed)], metrics[begin : begin + 1000])
+
+    def close(self, finished: bool) -> None:
+        """End the runs."""
+        for run in self.ids.values():
+            self.client.set_terminated(run, "FINISHED" if finished else "KILLED")
+
+
+class WandB:
+    """Weights & Biases; in ./wandb, or with WANDB_MODE=online where one is logged in."""
+
+    def __init__(self, config: Config, path: Path, ids: dict[str, str]):
+        """Open a run for every seed; `ids` keeps them."""
+        import wandb
+
+        digest = hashlib.sha1(str(path.resolve()).encode()).hexdigest()[:12]
+        self.runs = {}
+        for seed in config.seeds:
+            own = ids.setdefault(str(seed), f"{digest}-{seed}")
+            self.runs[seed] = wandb.init(
+                project="sndjax",
+                group=group(config),
+                name=title(config, seed),
+                id=own,
+                resume="allow",
+                mode=os.environ.get("WANDB_MODE", "offline"),
+                config=settings(config) | {"seed": seed},
+                reinit="create_new",
+                settings=wandb.Settings(silent=True, console="off"),
+            )
+
+    def log(self, seed: int, lines: Lines) -> None:
+        """Log the lines of a seed."""
+        for line in lines:
+            self.runs[seed].log(figures(line), step=line["step"])
+
+    def close(self, finished: bool) -> None:
+        """End the runs."""
+        for run in self.runs.values():
+            run.finish(exit_code=0 if finished else 1)
