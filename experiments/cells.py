@@ -8,6 +8,7 @@ import fcntl
 import json
 import os
 import re
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -147,7 +148,7 @@ def known(directory: Path) -> list[tuple[Cell, dict[str, Any]]]:
         try:
             entry = json.loads(path.read_text())
             cell = Cell(*(entry.pop(field) for field in Cell._fields))
-        except (OSError, ValueError, KeyError, AttributeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
             raise ConfigError(f"{path} is no cell of a sweep") from None
         found.append((cell, entry))
     if not found:
@@ -156,33 +157,42 @@ def known(directory: Path) -> list[tuple[Cell, dict[str, Any]]]:
 
 
 @contextmanager
-def held(directory: Path, name: str) -> Iterator[int | None]:
-    """Hold a cell; its log, open, or None where another process holds it."""
+def held(directory: Path, name: str, patience: float = 0.0) -> Iterator[int | None]:
+    """Hold a cell; its log, open, or None where another process still holds it after a while.
+
+    A run whose waiting worker was killed holds it, too, until it has written its checkpoint.
+    """
     path = file_of(directory, name, "log")
     path.parent.mkdir(parents=True, exist_ok=True)
     log = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    end = time.monotonic() + patience
     try:
-        fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(log)
-        yield None
-        return
-    try:
+        while not locked(log, fcntl.LOCK_EX):
+            if time.monotonic() >= end:
+                yield None
+                return
+            time.sleep(0.5)
         yield log
     finally:
         os.close(log)
+
+
+def locked(file: int, kind: int) -> bool:
+    """Whether the lock could be had at once."""
+    try:
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def is_held(directory: Path, name: str) -> bool:
     """Whether a process runs the cell."""
     try:
         with file_of(directory, name, "log").open() as log:
-            fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            return not locked(log.fileno(), fcntl.LOCK_SH)
     except FileNotFoundError:
         return False
-    except OSError:
-        return True
-    return False
 
 
 def standing(directory: Path, cell: Cell, last: dict[str, Any]) -> Standing:

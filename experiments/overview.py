@@ -21,7 +21,7 @@ COLOURS = dict(zip(cells.STATES, ("green", "cyan", "yellow", "red", "bright_blac
 
 def table(standings: list[Standing]) -> str:
     """The cells and how they stand, as plain lines."""
-    width = max(len(s.cell.name) for s in standings)
+    width = max((len(s.cell.name) for s in standings), default=4)
     lines = [f"{'cell':<{width}}  {'state':<8}{'steps':>12}{'of':>14}  last-100 return"]
     for s in standings:
         reason = f"  {s.reason}" if s.reason else ""
@@ -94,7 +94,7 @@ class Overview:
                     if before.get(s.cell.name, cells.WAITING) != s.state:
                         more = s.reason or f"last-100 return {number(s.last100)}"
                         print(f"{s.cell.name}: {s.state}, {s.step:,} steps, {more}", flush=True)
-                if time.monotonic() - said > QUIET_SECONDS:
+                if self.standings and time.monotonic() - said > QUIET_SECONDS:
                     said = time.monotonic()
                     print(self.summary(), flush=True)
 

@@ -22,6 +22,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra import main as hydra_main
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig
@@ -35,7 +36,7 @@ from experiments.validate import CONF, choices, unknown
 
 FIGURE = "mean_ext_return"  # what a search maximises: it counts how early as well as how often
 STOP = "stop"  # a file that keeps queued cells from beginning
-INTERRUPTED = (130, 143)
+PATIENCE = 60.0  # seconds that a run may take to end after its worker was killed
 MEMORY = 3 << 30  # bytes that a run may take (docs/results/speed.md)
 PLUGINS = {"ray": "ray", "submitit_slurm": "slurm", "submitit_local": "slurm", "optuna": "optuna"}
 
@@ -62,9 +63,9 @@ class Work:
         """
         directory = Path(self.directory)
         cell = self.cell(directory, config)
-        with cells.held(directory, cell.name) as log:
+        with cells.held(directory, cell.name, PATIENCE) as log:
             if log is None:
-                return None  # another process runs it
+                raise CellFailed(f"{cell.name}: another process runs it")
             if (directory / STOP).exists():
                 raise CellFailed(f"{cell.name}: not begun, the sweep was interrupted")
             if cell.problem is None:
@@ -72,13 +73,16 @@ class Work:
             steps, value = cells.figure(directory / cell.name, FIGURE)
         if cell.problem is not None or steps < cell.total:
             raise CellFailed(f"{cell.name}: {cell.problem or 'not finished'}")
+        if self.swept and value is None:
+            raise CellFailed(f"{cell.name}: no episode ended, a search has nothing to go by")
         return value
 
     def cell(self, directory: Path, config: DictConfig) -> cells.Cell:
         """The cell of Hydra's job: one that was listed, or what a search came upon."""
         if name := config.get("cell"):
             return next(cell for cell, _ in cells.known(directory) if cell.name == name)
-        overrides = list(HydraConfig.get().overrides.task)
+        overrides, _ = divided(HydraConfig.get().overrides.task)
+        GlobalHydra.instance().clear()  # the job's own is not asked again; `load` makes another
         cell = cells.checked(cells.name_of(overrides, self.swept), overrides)
         cells.write(directory, cell)
         return cell
@@ -231,12 +235,15 @@ def multirun(arguments: Sequence[str]) -> int:
     )
     with Overview(directory) as overview, Stopper(directory) as stopper:
         trouble = launched(work, ["-m", *given, *more, *asked])
+    told = any(s.state == cells.FAILED for s in overview.standings)
+    if trouble and not told and not stopper.status:
+        raise ConfigError(f"the launcher gave up: {trouble}")
     print(table(overview.standings))
+    if search and (found := directory / "optimization_results.yaml").is_file():
+        print(f"the best by {FIGURE}, {found}:\n{found.read_text().strip()}")
     if stopper.status:
         print(f"interrupted; the same command goes on: hydra.sweep.dir={directory}")
         return stopper.status
-    if trouble:
-        raise ConfigError(f"the launcher gave up: {trouble}")
     return 0 if all_done(directory) else 1
 
 
@@ -281,7 +288,7 @@ def all_done(directory: Path) -> bool:
 
 
 def launched(work: Work, arguments: list[str]) -> str:
-    """Hand the sweep to Hydra; what it complained of, cells that failed apart: the table has them."""
+    """Hand the sweep to Hydra; what it complained of, if it did."""
     before, complaint, conf = sys.argv, StringIO(), str(CONF.resolve())
     sys.argv = ["sndjax", *arguments]
     try:
@@ -289,13 +296,16 @@ def launched(work: Work, arguments: list[str]) -> str:
             hydra_main(version_base="1.3", config_path=conf, config_name="multirun")(work)()
     except SystemExit as left:
         if left.code:
-            lines = [line for line in complaint.getvalue().splitlines() if line.strip()]
-            if not any(line.startswith("Error executing job") for line in lines):
-                return " ".join(line for line in lines if "HYDRA_FULL_ERROR" not in line)
+            lines = [line.strip() for line in complaint.getvalue().splitlines() if line.strip()]
+            return " ".join([line for line in lines if "HYDRA_FULL_ERROR" not in line][-2:])
     except KeyboardInterrupt:  # a second signal
         return "interrupted"
     finally:
         sys.argv = before
+        if "joblib" in sys.modules:  # its workers would wait for more
+            from joblib.externals.loky import get_reusable_executor
+
+            get_reusable_executor().shutdown(kill_workers=True)
     return ""
 
 

@@ -151,6 +151,7 @@ class WandB:
         import wandb
 
         digest = hashlib.sha1(str(path.resolve()).encode()).hexdigest()[:12]
+        mode: Any = os.environ.get("WANDB_MODE", "offline")
         self.runs = {}
         for seed in config.seeds:
             own = ids.setdefault(str(seed), f"{digest}-{seed}")
@@ -160,7 +161,7 @@ class WandB:
                 name=title(config, seed),
                 id=own,
                 resume="allow",
-                mode=os.environ.get("WANDB_MODE", "offline"),
+                mode=mode,
                 config=settings(config) | {"seed": seed},
                 reinit="create_new",
                 settings=wandb.Settings(silent=True, console="off"),

@@ -1,4 +1,4 @@
-"""Sweeps as a user starts them, through Hydra's launchers: killed half-way, done by a second one."""
+"""Sweeps as a user starts them: killed half-way by launcher and by hand, done by a second one."""
 
 import importlib.util
 import json
@@ -17,7 +17,7 @@ from experiments.options import ConfigError
 
 ROOT = Path(__file__).parents[2]
 EIGHT = ["env=MountainCar", "algo=ppo,snd_vic", "seed=0,9", "ppo.epochs=1,2"]
-SMALL = ["num_envs=4", "rollout_length=32", "ppo.minibatch_size=64", "algo.minibatch_size=64"]
+SMALL = ["num_envs=4", "rollout_length=32", "ppo.minibatch_size=64"]
 
 
 def needs(package):
@@ -85,11 +85,11 @@ def test_a_sweep_whose_worker_is_killed_is_completed_by_running_again(launcher, 
         pid, victim = waits(lambda: running(directory))[0]
         os.kill(parent(pid), signal.SIGKILL)  # the worker that waits for it
         process.communicate(timeout=300)
-    assert process.returncode != 0
+    if launcher == "joblib":  # Ray begins a task again whose worker died
+        assert process.returncode == 2
     before = {s.cell.name: s.state for s in survey(directory)}
     assert "done" in before.values()
     done = {name: log(directory, name) for name, state in before.items() if state == "done"}
-    waits(lambda: not running(directory))
     out, err = sweep(directory, *command)
     assert f"{len(done)} done already" in out, err
     assert {s.state for s in survey(directory)} == {"done"}
@@ -172,7 +172,7 @@ def test_a_search_maximises_what_its_cells_return(tmp_path):
         "env=MountainCar",
         "algo=snd_vic",
         *SMALL,
-        "total_steps=256",
+        "total_steps=1000",
         "hydra.sweeper.n_trials=2",
     )
     found = survey(directory)
