@@ -1,23 +1,29 @@
 """python -m experiments.budget: what a sweep of the thesis' size costs, on paper.
 
-Takes the cells of conf/sweep/thesis.yaml (or sweep=NAME), the measured shares of docs/results/
-bench-cpu.json (and bench-gpu.json, where there is one), each algorithm's work per step, the size
-of its state, and says how long the sweep takes on two cores and on GPUs, what it holds in memory
-and on the disk, and what limits it. Where no GPU was measured, a GPU is as fast as the
-environments beside it, and the table says how much of its arithmetic that takes.
+Takes the cells of conf/sweep/thesis.yaml (or sweep=NAME), the measured rates of docs/results/
+bench-cpu.json (and bench-gpu.json, where there is one), each algorithm's work per step and the
+size of its state, and says how long the sweep takes on two cores and on GPUs, what it holds in
+memory and on the disk, and what limits it. What was not measured is scaled by its work from what
+was. Where no GPU was measured, one is as fast as the environments that the cores beside it step,
+at the measured rate per core, and the table says how much of its arithmetic that takes.
 """
 
 import heapq
 import json
 import sys
+from collections import Counter
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 from experiments.arguments import command
 from experiments.options import option
 from experiments.process import before_jax
+from experiments.progress import Bars
 
+REFERENCE = "snd_vic"  # of algorithms that have no benchmark
 LOG_BYTES = 1100  # of a line of metrics.jsonl, with TensorBoard's copy of its figures twice that
 KEPT = 3  # checkpoints: the newest two and the best
 HOUR = 3600.0
@@ -46,33 +52,40 @@ class Kind(NamedTuple):
 
 def kinds_of(sweep: str) -> dict[tuple[str, str], Kind]:
     """By algorithm and family."""
-    import jax
-
     from experiments import cells
     from experiments.config import load
-    from experiments.cost import INPUTS, giga_per_step, thesis
-    from experiments.progress import Bars
     from experiments.sweep import asked_of_hydra
-    from sndjax.algorithms import NAMED
 
     params = asked_of_hydra([f"sweep={sweep}"]).sweeper.params
+    listed = cells.product([f"{key}={value}" for key, value in params.items()])
+    runs = Counter(tuple(one for one in own if not one.startswith("seed=")) for own in listed)
     found: dict[tuple[str, str], Kind] = {}
-    everything = cells.product([f"{key}={value}" for key, value in params.items()])
     with Bars() as bars:
-        for overrides in bars.over("cells", everything):
-            config = load(overrides)
+        for overrides in bars.over("algorithms and environments", list(runs)):
+            config = load(list(overrides))
             family = "Atari" if config.env.stack == 4 else "Procgen"
             key = (config.algo.name, family)
             if key not in found:
-                size, _, _, actions = INPUTS[family]
-                make: Any = NAMED[config.algo.name]
-                module = make(actions, size) if make else None
-                state = thesis(module, family)[1]._replace(key=jax.numpy.zeros(()))
-                megabytes = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state)) / 1e6
-                work = giga_per_step(module, family)
+                work, megabytes = weight(*key)
                 found[key] = Kind(0, config.total_steps, work, megabytes, config.iterations)
-            found[key] = found[key]._replace(runs=found[key].runs + 1)
+            found[key] = found[key]._replace(runs=found[key].runs + runs[overrides])
     return found
+
+
+@cache
+def weight(algo: str, family: str) -> tuple[float, float]:
+    """10^9 operations per step, and the megabytes of a seed's state."""
+    import jax
+
+    from experiments.cost import INPUTS, giga_per_step, thesis
+    from sndjax.algorithms import NAMED
+
+    size, _, _, actions = INPUTS[family]
+    make: Any = NAMED[algo]
+    module = make(actions, size) if make else None
+    state = thesis(module, family)[1]._replace(key=jax.numpy.zeros(()))
+    megabytes = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state)) / 1e6
+    return giga_per_step(module, family), megabytes
 
 
 def makespan(hours: list[float], machines: int) -> float:
@@ -94,10 +107,8 @@ def report(options: Options) -> str:
     measured = json.loads(figures("cpu").read_text())
     path: Path = figures("gpu")
     gpu = json.loads(path.read_text()) if path.exists() else {}
-    cautious = min(one["share_of_peak"] for one in measured.values())
-    product = sorted(one["matmul_gflops"] for one in measured.values())[len(measured) // 2]
     stepping = [one["seconds_per_1000_steps"]["environment"] for one in measured.values()]
-    pool = 1000 / sorted(stepping)[len(stepping) // 2] / 2 * options.cores  # steps/s beside a GPU
+    pool = 1000 / median(stepping) / 2 * options.cores  # steps/s beside a GPU
     lines = [
         "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | disk a run, MB "
         "| hours on two cores | GPU hours |",
@@ -107,10 +118,11 @@ def report(options: Options) -> str:
     fast: list[float] = []
     disk, needed = 0.0, 0.0
     for (algo, family), kind in sorted(kinds_of(options.sweep).items()):
-        share = measured.get(algo, {}).get("share_of_peak", cautious)
+        known = algo if algo in measured else REFERENCE
+        here = measured[known]["steps_per_second"] * weight(known, "Atari")[0] / kind.gflop
         rate = gpu.get(algo, {}).get("steps_per_second", pool)
         needed = max(needed, rate * kind.gflop / 1e3)
-        two_cores = kind.steps * kind.gflop / (share * product) / HOUR
+        two_cores = kind.steps / here / HOUR
         on_gpu = kind.steps / rate / HOUR
         own = KEPT * kind.state_mb + 3 * LOG_BYTES * kind.iterations / 1e6
         disk += kind.runs * own

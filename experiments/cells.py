@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -24,10 +25,13 @@ from hydra.errors import HydraException
 from experiments.config import load
 from experiments.directory import replace
 from experiments.options import ConfigError
+from experiments.progress import Bars
 
 FILES = "cells"
 PLACED = ("run_dir", "resume", "repeat")  # a sweep says these itself
 NAMING = ("env", "env.id", "algo", "algo.module", "seed")  # what stands in a cell's name anyway
+FEW = 20  # cells that are checked in a moment
+MANY_SEEDS = 1 << 30  # so far a seed is fine whatever else is said
 DONE, RUNNING, STOPPED, FAILED, WAITING = STATES = (
     "done",
     "running",
@@ -63,7 +67,10 @@ def expanded(arguments: Sequence[str]) -> list[Cell]:
       ConfigError: it cannot be read, or two cells would have one directory.
     """
     keys = swept(arguments)
-    cells = [checked(name_of(one, keys), one) for one in product(arguments)]
+    with Bars() as bars:
+        everything = product(arguments)
+        listed = bars.over("checking cells", everything) if len(everything) > FEW else everything
+        cells = [checked(name_of(one, keys), one) for one in listed]
     names = Counter(cell.name for cell in cells)
     for name, count in names.items():
         if count > 1:
@@ -102,13 +109,23 @@ def swept(arguments: Sequence[str]) -> tuple[str, ...]:
     return tuple(k for k, override in parsed(arguments).items() if override.is_sweep_override())
 
 
-def checked(name: str, overrides: list[str]) -> Cell:
+def checked(name: str, overrides: Sequence[str]) -> Cell:
     """A cell, and why it cannot run, as far as that is known before it does."""
+    given = parsed(overrides).get("seed")
+    seed: Any = 0 if given is None else given.value()
+    plain = type(seed) is int and 0 <= seed < MANY_SEEDS
+    others = [override for override in overrides if not (plain and override.startswith("seed="))]
+    return Cell(name, list(overrides), *looked_at(tuple(others)))
+
+
+@lru_cache(1 << 14)  # to compose a configuration takes a tenth of a second
+def looked_at(overrides: tuple[str, ...]) -> tuple[int, str | None]:
+    """The steps per seed that the overrides ask for, and what is wrong with them."""
     try:
-        config = load(overrides)
+        config = load(list(overrides))
     except ConfigError as error:
-        return Cell(name, overrides, 0, " ".join(str(error).split()))
-    return Cell(name, overrides, config.iterations * config.rows, None)
+        return 0, " ".join(str(error).split())
+    return config.iterations * config.rows, None
 
 
 def name_of(overrides: Sequence[str], swept: Sequence[str]) -> str:
