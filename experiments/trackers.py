@@ -24,8 +24,8 @@ Lines = list[dict[str, Any]]
 class Tracker:
     """One run of the tracker for every seed, opened again by its id when a run goes on."""
 
-    def __init__(self, config: Config, path: Path):
-        """Open it.
+    def __init__(self, config: Config, path: Path, leads: bool = True):
+        """Open it, on the host that leads.
 
         Raises:
           ConfigError: its package is not there, or it refuses.
@@ -46,7 +46,7 @@ class Tracker:
             "wandb": lambda: WandB(config, path, self.ids),
         }
         try:
-            self.service = kinds[config.tracker]()
+            self.service = kinds[config.tracker if leads else "none"]()
         except ImportError:
             hint = f"pip install '.[{config.tracker}]'"
             raise ConfigError(f"tracker={config.tracker} is not installed: {hint}") from None

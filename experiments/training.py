@@ -13,28 +13,24 @@ import numpy as np
 
 import sndjax
 from experiments.agents import build, first_states, make_train_step, over_seeds
-from experiments.checkpoint import Checkpoints, Damaged
+from experiments.checkpoint import Damaged
 from experiments.collect import Collector, Track, groups_of
 from experiments.devices import layout
 from experiments.directory import Directory, Elsewhere
 from experiments.environments import make_pools
 from experiments.episodes import Episodes
 from experiments.estimate import seconds
-from experiments.glimpses import Glimpses
 from experiments.interrupts import Interrupted, Interrupts
+from experiments.journal import Journal
 from experiments.options import Config, ConfigError
-from experiments.process import keep_compilations, return_freed_memory, rss_mb
+from experiments.process import keep_compilations, return_freed_memory
 from experiments.progress import Progress, clock
-from experiments.records import LOGS, Records, check_logs, mean_line
-from experiments.stored import check_settings, settings
+from experiments.records import mean_line
 from experiments.symptoms import Signs, dump, not_finite
-from experiments.trackers import Tracker
 from experiments.versions import versions
 
 WIDE = ("re3", "e3b", "ngu")  # signals whose unit is not that of a squared feature
-CHECKPOINT_SECONDS = 300  # a checkpoint at least this often
-LOOK_SECONDS = 300  # between two looks at the features
-LONG_SECONDS = 60  # an iteration that takes longer is always followed by one
+LONG_SECONDS = 60  # an iteration that takes longer is always followed by a checkpoint
 GRACE_SECONDS = 4  # that an update may go on after SIGTERM, so that its checkpoint is in time
 
 
@@ -44,20 +40,14 @@ class Run:
     def __init__(self, config: Config, directory: Directory | Elsewhere):
         """Prepare everything that can refuse the configuration; compile nothing yet."""
         keep_compilations()
-        self.config, self.path = config, directory.path
-        self.seeds = config.seeds
+        self.config, self.seeds = config, config.seeds
         self.layout = layout(config)
-        self.checkpoints = Checkpoints(directory.shared, self.layout.leads)
-        self.done = 0  # iterations
-        self.manifest: dict[str, Any] = {}  # of the checkpoint that the run goes on from
-        self.said: list[str] = []  # before there was a display
-        found = self.find_checkpoint() if directory.resumed else None
+        self.journal = Journal(config, directory, self.layout)
         mine = self.layout.envs(config.num_envs)
         groups = groups_of(config.num_envs) if self.layout.hosts == 1 else 1
-        pools = make_pools(config.env, self.seeds, config.num_envs, self.done, groups, mine)
+        pools = make_pools(config.env, self.seeds, config.num_envs, self.journal.done, groups, mine)
         self.pool = pools[0]
         self.agent = build(config, self.pool)
-        self.glimpses = Glimpses(self.agent)
         example = jnp.zeros((config.num_envs, *self.pool.shape), self.pool.dtype)
         self.fresh = lambda: first_states(self.agent, self.seeds, example)
         try:
@@ -73,53 +63,22 @@ class Run:
         self.train_step = self.layout.learn(make_train_step(self.agent, config, self.layout))
         self.update: Any = None  # the compiled train_step
         self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
-        self.state: sndjax.TrainState | None = None  # None: not made yet, or in an update
-        if found is not None:
-            try:
-                stored = self.checkpoints.load(found, jax.eval_shape(self.fresh))
-            except Damaged as error:
-                raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
-            self.state = self.layout.states(stored)
-        self.saved, self.looked = time.monotonic(), -float("inf")
+        # None: not made yet, or in an update.
+        self.state: sndjax.TrainState | None = self.journal.load(jax.eval_shape(self.fresh))
         self.expected: float | None = None  # seconds of an update
-        self.tracker = Tracker(config, self.path)
-
-    def find_checkpoint(self) -> int | None:
-        """The iteration to go on from, if the run had got so far as to have a first checkpoint.
-
-        Raises:
-          ConfigError: no checkpoint can be used, or there are logs without any.
-        """
-        try:
-            found, self.manifest, self.said = self.checkpoints.find(self.check)
-        except Damaged as error:
-            raise ConfigError(f"resume={self.path}: nothing to go on from: {error}") from None
-        log = self.checkpoints.path.parent / LOGS[0]
-        if found is None and log.exists() and log.stat().st_size:
-            raise ConfigError(
-                f"resume={self.path}: nothing to go on from: there are logs and no checkpoint"
-            )
-        self.done = found or 0
-        return found
-
-    def check(self, manifest: dict[str, Any]) -> None:
-        """Raise ValueError unless a checkpoint belongs to this configuration and these logs."""
-        check_settings(self.config, manifest["settings"])
-        check_logs(self.checkpoints.path.parent, self.seeds, manifest["logs"])
+        self.journal.track()
 
     def train(self, interrupts: Interrupts) -> None:
         """Train to the last iteration, logging each."""
         self.interrupts = interrupts
-        config, rows = self.config, self.config.rows
-        total = config.iterations * rows
-        logs = self.manifest.get("logs", {}) if self.layout.leads else {}
-        self.layout.meet("before the first line is written")
-        self.records = Records(self.path, self.seeds, self.pool.rooms, logs)
-        title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {self.path}"
-        self.progress = Progress(title, total, self.done * rows)
-        for line in [*self.said, *self.announcements()]:
+        config, journal = self.config, self.journal
+        total = config.iterations * config.rows
+        journal.open(self.agent, self.pool.rooms)
+        title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {journal.path}"
+        self.progress = Progress(title, total, journal.done * config.rows)
+        for line in [*journal.said, *self.announcements()]:
             self.progress.say(line)
-        self.tracker.take_in(list(self.records.past()))
+        journal.say = self.progress.say
         finished = False
         try:
             try:
@@ -128,13 +87,11 @@ class Run:
                 self.save_before_leaving()
                 raise
             finished = True
-            self.records.summarize(self.done * rows)
-            self.progress.say(f"finished: {self.path}")
+            journal.records.summarize(journal.done * config.rows)
+            self.progress.say(f"finished: {journal.path}")
         finally:
             self.progress.close()
-            self.checkpoints.join()
-            self.tracker.close(finished)
-            self.records.close()
+            journal.close(finished)
             self.collector.close()
 
     def announcements(self) -> Iterator[str]:
@@ -145,23 +102,23 @@ class Run:
                 f"the signal {algo.signal} has no published scale: unless its share of clipped "
                 "rewards stays low, take algo.reward_scale=running_std"
             )
-        if 0 < self.done < self.config.iterations:
-            yield f"going on from iteration {self.done}; environments begin new episodes"
+        if 0 < self.journal.done < self.config.iterations:
+            yield f"going on from iteration {self.journal.done}; environments begin new episodes"
 
     def iterate(self) -> None:
         """From the iteration the run stands at to its last."""
-        config, progress = self.config, self.progress
-        if self.done == config.iterations:
+        config, progress, journal = self.config, self.progress, self.journal
+        if journal.done == config.iterations:
             return
         progress.phase("compiling the policy")
         if self.state is None:
             self.state = self.layout.states(self.fresh())
-            self.save()  # so that there is always one to go on from
+            journal.save(self.state)  # so that there is always one to go on from
         episodes = Episodes(self.seeds, config.num_envs, self.pool.rooms)
         signs = {seed: Signs(self.pool.num_actions) for seed in self.seeds}
-        for line in self.records.past():
+        for line in journal.records.past():
             signs[line["seed"]].take_in(line)  # what it says was said
-        while self.done < config.iterations:
+        while journal.done < config.iterations:
             begun = time.monotonic()
             batch, track = self.collect()
             collected = time.monotonic()
@@ -172,29 +129,32 @@ class Run:
                 "collect_seconds": collected - begun,
                 "update_seconds": self.expected,
             }
-            self.records.wall_seconds += gone
+            journal.records.wall_seconds += gone
             ended = episodes.take_in(
-                self.done * config.rows,
+                journal.done * config.rows,
                 track.valid,
                 track.done,
                 (track.reward, track.score, int_reward),
                 track.room,
             )
-            self.done += 1
-            lines = self.log(track, metrics, ended, times)
+            lines = journal.log(track, metrics, ended, times)
             progress.iteration(mean_line(lines))
             for line in lines:
                 for warning in signs[line["seed"]].take_in(line):
                     progress.say(warning)
-            late = gone > LONG_SECONDS or time.monotonic() - self.saved > CHECKPOINT_SECONDS
-            if self.done % config.checkpoint_every == 0 or self.layout.any(late):
-                self.save()
-                self.look(batch, int_reward)
-            if self.layout.any(self.interrupts.received is not None):
-                raise Interrupted(self.interrupts.received or signal.SIGTERM)
-        self.save()
+            if journal.due(gone > LONG_SECONDS):
+                journal.save(self.state)
+                self.check()
+                journal.look(self.state, batch, int_reward)
+            self.check()
+        journal.save(self.state)
         progress.phase("saving")
-        self.settle()
+        journal.settle()
+
+    def check(self) -> None:
+        """A point where the run can stop; several hosts stop together."""
+        if self.layout.any(self.interrupts.received is not None):
+            raise Interrupted(self.interrupts.received or signal.SIGTERM)
 
     def collect(self) -> tuple[sndjax.Experience, Track]:
         """The next rollout."""
@@ -224,7 +184,7 @@ class Run:
         if self.update is None:
             self.compile(state, batch)
         # The update uses the state's memory again. On the disk or here, one copy stays.
-        kept = self.checkpoints.newest == self.done and self.layout.hosts == 1
+        kept = self.journal.checkpoints.newest == self.journal.done and self.layout.hosts == 1
         before = None if kept else self.copy(state)
         self.progress.phase("learning", self.expected)
         begun = time.monotonic()
@@ -267,91 +227,32 @@ class Run:
     ) -> str:
         """Leave what is needed to see what went wrong and to go on from before it; say where."""
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        said = f"iteration {self.done + 1}, {wrong[0]}{more}"
-        where = self.path / f"wrong-{self.done + 1}"
+        journal = self.journal
+        said = f"iteration {journal.done + 1}, {wrong[0]}{more}"
+        where = journal.path / f"wrong-{journal.done + 1}"
         try:
             if before is None:
-                before = self.checkpoints.load(self.done, jax.eval_shape(self.fresh))
+                before = journal.standing(jax.eval_shape(self.fresh))
             self.state = before
-            self.save()
-            self.checkpoints.wait()
+            journal.save(before)
+            journal.settle()
             before, batch = self.layout.whole((before, batch))
             if self.layout.leads:
                 dump(where, self.config, versions(), before, batch)
         except (OSError, Damaged) as error:
             return f"{said}; what it came from could not be kept: {error}"
         return (
-            f"{said}; the last good checkpoint is that of iteration {self.done}; to see why: "
+            f"{said}; the last good checkpoint is that of iteration {journal.done}; to see why: "
             f"python -m experiments.replay {where}"
         )
-
-    def log(
-        self,
-        track: Track,
-        metrics: dict[str, list[float]],
-        ended: list[list[Any]],
-        times: dict[str, Any],
-    ) -> list[dict[str, Any]]:
-        """A line for every seed."""
-        records, config = self.records, self.config
-        step = self.done * config.rows
-        valid = np.asarray(track.valid).sum((1, 2)).tolist()
-        lines = []
-        for i in range(len(self.seeds)):
-            records.transitions[i] += valid[i]
-            entry = {
-                "iteration": self.done,
-                "step": step,
-                "transitions": records.transitions[i],
-                "frames": step * int(config.env.options.get("frame_skip", 1)),
-                **{name: value[i] for name, value in metrics.items()},
-                **times,
-                "wall_seconds": records.wall_seconds,
-                "rss_mb": rss_mb(),
-            }
-            lines.append(records.take_in(i, ended[i], entry))
-        records.flush()
-        self.tracker.take_in(lines)
-        return lines
-
-    def look(self, batch: sndjax.Experience, int_reward: np.ndarray) -> None:
-        """Let TensorBoard have a look, now and then; no run ends over a picture."""
-        now = time.monotonic()
-        if now - self.looked < LOOK_SECONDS or self.layout.hosts > 1:
-            return
-        try:
-            self.glimpses.look(self.records.boards, self.seeds, self.state, batch, int_reward)
-            self.looked = now
-        except OSError:
-            raise  # the disk: the logs are next
-        except Exception as error:  # a module of the user's own may raise anything
-            self.looked = float("inf")
-            self.progress.say(f"TensorBoard gets no more pictures: {error!r}")
-
-    def save(self) -> None:
-        """Begin to write a checkpoint; what it says of the logs is on the disk before it is."""
-        assert self.state is not None
-        self.settle()
-        if self.checkpoints.newest == self.done:
-            return
-        self.records.summarize(self.done * self.config.rows)
-        manifest = self.records.manifest() | {"settings": settings(self.config)}
-        self.checkpoints.save(self.done, self.layout.whole(self.state), manifest)
-        self.saved = time.monotonic()
-
-    def settle(self) -> None:
-        """Wait until the newest checkpoint is on the disk, and tell the tracker what it covers."""
-        self.checkpoints.wait()
-        if trouble := self.tracker.tell(self.checkpoints.newest):
-            self.progress.say(trouble)
 
     def save_before_leaving(self) -> None:
         """A checkpoint of this moment, unless the state is inside an update that was broken off."""
         self.progress.phase("saving")
         try:
             if self.state is not None:
-                self.save()
-            self.settle()
+                self.journal.save(self.state)
+            self.journal.settle()
         except OSError as error:
             self.progress.say(f"no checkpoint of this moment: {error}")
 
@@ -366,5 +267,5 @@ def train(config: Config, directory: Directory | Elsewhere, interrupts: Interrup
       OSError: the run cannot be written.
     """
     run = Run(config, directory)
-    run.said += directory.begin(config, versions())
+    run.journal.said += directory.begin(config, versions())
     run.train(interrupts)
