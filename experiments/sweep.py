@@ -224,6 +224,7 @@ def multirun(arguments: Sequence[str]) -> int:
         left = to_run(directory, cells.expanded([*params, *own]))
         if not left:
             print(table(cells.survey(directory)))
+            write_page(directory)
             return 0 if all_done(directory) else 1
         given.append("hydra.sweeper.params=null")
         swept = ()
@@ -244,7 +245,19 @@ def multirun(arguments: Sequence[str]) -> int:
     if stopper.status:
         print(f"interrupted; the same command goes on: hydra.sweep.dir={directory}")
         return stopper.status
+    if any(s.step for s in overview.standings):
+        write_page(directory)
     return 0 if all_done(directory) else 1
+
+
+def write_page(directory: Path) -> None:
+    """The page of what the cells have so far."""
+    from experiments import report
+
+    out = directory / "report"
+    out.mkdir(exist_ok=True)
+    with suppress(ConfigError):  # nothing to show yet
+        report.write([directory], out, live=False)
 
 
 def to_run(directory: Path, listed: list[cells.Cell]) -> list[cells.Cell]:
