@@ -26,6 +26,8 @@ from experiments.config import load
 from experiments.directory import replace
 from experiments.options import ConfigError
 from experiments.progress import Bars
+from experiments.stored import CONFIG, FREE
+from experiments.validate import choices, unknown
 
 FILES = "cells"
 PLACED = ("run_dir", "resume", "repeat")  # a sweep says these itself
@@ -91,6 +93,19 @@ def product(arguments: Sequence[str]) -> list[list[str]]:
     return batch
 
 
+def divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The arguments that are our options, and those that are Hydra's."""
+    left = [argument for argument in arguments if argument not in ("-m", "--multirun")]
+    hydras = [a for a in left if a.lstrip("+~").startswith(("hydra", "sweep="))]
+    for argument in left:
+        if "=" not in argument:
+            raise ConfigError(f"cannot read '{argument}': write key=value")
+        name = argument.removeprefix("sweep=")
+        if name != argument and name not in choices("sweep"):
+            raise unknown("sweep", name, choices("sweep"))
+    return [argument for argument in left if argument not in hydras], hydras
+
+
 def parsed(arguments: Sequence[str]) -> dict[str, Override]:
     """The overrides of a sweep by key; of a repeated key the last."""
     try:
@@ -140,6 +155,25 @@ def name_of(overrides: Sequence[str], swept: Sequence[str]) -> str:
     algo = values.get("algo.module", values.get("algo", "unnamed")).rpartition(":")[2]
     others = [f"{key}={quote(values[key], safe='')}" for key in swept if key not in NAMING]
     return "/".join((plain(env), plain(algo), ",".join([plain(values.get("seed", "0")), *others])))
+
+
+def conflict(directory: Path, cell: Cell, before: Cell | None) -> str | None:
+    """Why what is in a cell's directory is not of this cell, if it is not."""
+    place = directory / cell.name
+    free = lambda own: sorted(o for o in own if o.partition("=")[0].lstrip("+") not in FREE)
+    known = before is not None and free(before.overrides) == free(cell.overrides)
+    if known or not (place / CONFIG).is_file():
+        return None
+    try:
+        load([*cell.overrides, f"run_dir={quoted(place)}", "resume=auto"])
+    except ConfigError as error:
+        return " ".join(str(error).split())
+    return None
+
+
+def quoted(path: Path) -> str:
+    """A path as a value of an override."""
+    return "'" + str(path).replace("'", "\\'") + "'"
 
 
 def file_of(directory: Path, name: str, kind: str) -> Path:
@@ -198,8 +232,12 @@ def locked(file: int, kind: int) -> bool:
     """Whether the lock could be had at once."""
     try:
         fcntl.flock(file, kind | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         return False
+    except OSError as error:
+        raise ConfigError(
+            f"this file system has no locks, and a sweep needs them: {error}"
+        ) from None
     return True
 
 
@@ -224,7 +262,7 @@ def standing(directory: Path, cell: Cell, last: dict[str, Any]) -> Standing:
         return Standing(cell, DONE, step, last100, "")
     if is_held(directory, cell.name):
         return Standing(cell, RUNNING, step, line.get("last100_ext_return"), "")
-    if last.get("status") in (None, 130, 143):
+    if last.get("status") in (None, 0, 130, 143):  # 0: it was shorter then
         state = STOPPED if step or "pid" in last else WAITING
         return Standing(cell, state, step, last100, "")
     return Standing(cell, FAILED, step, last100, reason)

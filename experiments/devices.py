@@ -88,6 +88,17 @@ class OneDevice:
     def meet(self, where: str) -> None:
         """Wait until every host is here."""
 
+    def groups(self, wanted: int, num_envs: int) -> int:
+        """Into how many pools the environments go, if so many can be laid out."""
+        return wanted
+
+    def agree(self, value: int, otherwise: str) -> None:
+        """Go on if all hosts have the same value.
+
+        Raises:
+          ConfigError: they have not.
+        """
+
 
 ONE_DEVICE = OneDevice()
 
@@ -180,7 +191,9 @@ class Devices(OneDevice):
         return jax.tree.map(laid, states)
 
     def everywhere(self, tree: Any) -> Any:
-        return self.whole(self.batch(tree)) if self.hosts > 1 else tree
+        if self.hosts == 1:
+            return tree
+        return jax.tree.map(np.array, self.whole(self.batch(tree)))
 
     def whole(self, tree: Any) -> Any:
         if self.hosts == 1:
@@ -192,9 +205,28 @@ class Devices(OneDevice):
             return said
         return bool(np.any(multihost_utils.process_allgather(np.array(said))))
 
+    def groups(self, wanted: int, num_envs: int) -> int:
+        across = self.mesh.shape["envs"]
+        return wanted if self.hosts == 1 and num_envs % (wanted * across) == 0 else 1
+
+    def agree(self, value: int, otherwise: str) -> None:
+        if self.hosts > 1:
+            agree(value, otherwise)
+
     def meet(self, where: str) -> None:
         if self.hosts > 1:
             multihost_utils.sync_global_devices(where)
+
+
+def agree(value: int, otherwise: str) -> None:
+    """Go on if all processes have the same value.
+
+    Raises:
+      ConfigError: they have not.
+    """
+    values = np.ravel(multihost_utils.process_allgather(np.array(value))).tolist()
+    if len(set(values)) > 1:
+        raise ConfigError(f"distributed=true: some hosts {otherwise}: {values}")
 
 
 def layout(config: Config) -> OneDevice:

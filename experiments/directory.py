@@ -13,6 +13,7 @@ from experiments.options import Config, ConfigError
 from experiments.stored import CONFIG, Stored, read, to_yaml
 
 LOCK = ".lock"
+TOLD = "tracker.json"  # what a tracker was told; it is opened before there is a config.yaml
 
 
 class Directory:
@@ -52,7 +53,8 @@ class Directory:
 
     def holds_something(self) -> bool:
         """Whether there is more than a run leaves that was killed before it began."""
-        return any(entry.name not in (LOCK, unfinished(CONFIG)) for entry in self.path.iterdir())
+        early = (LOCK, unfinished(CONFIG), TOLD, unfinished(TOLD))
+        return any(entry.name not in early for entry in self.path.iterdir())
 
     def not_empty(self) -> str:
         """Why a directory with something in it is refused."""

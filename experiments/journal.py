@@ -39,6 +39,7 @@ class Journal:
         self.said: list[str] = []  # before there was a display
         self.say: Callable[[str], None] = self.said.append
         self.found = self.find() if directory.resumed else None
+        layout.agree(self.done, "find the run at another iteration")
         self.saved, self.looked = time.monotonic(), -float("inf")
 
     def find(self) -> int | None:
@@ -128,7 +129,8 @@ class Journal:
         self.settle()
         if self.checkpoints.newest == self.done:
             return
-        self.records.summarize(self.done * self.config.rows)
+        if self.done < self.config.iterations:  # of a whole run it says so once all is safe
+            self.records.summarize(self.done * self.config.rows)
         manifest = self.records.manifest() | {"settings": settings(self.config)}
         self.checkpoints.save(self.done, self.layout.whole(state), manifest)
         self.saved = time.monotonic()

@@ -6,6 +6,7 @@ refused in a moment.
 
 import os
 import sys
+from contextlib import suppress
 
 from experiments.config import help_text, load
 from experiments.directory import Directory, Elsewhere
@@ -62,21 +63,36 @@ def main(arguments: list[str] | None = None) -> int:
         return run(arguments, interrupts)
 
 
-def leads(config: Config) -> bool:
-    """Whether this process writes what the run leaves; of several the first does."""
+def place(config: Config) -> Directory | Elsewhere:
+    """Where this process writes; of several processes of a run the first has the directory.
+
+    Raises:
+      ConfigError: it cannot be written to; all processes are told.
+    """
     if not config.distributed:
-        return True
+        return Directory(config)
     if config.run_dir is None:
         raise ConfigError("distributed=true needs run_dir=DIRECTORY, one that all hosts see")
     before_jax()
     import jax
 
-    from experiments.devices import join_hosts
+    from experiments.devices import agree, join_hosts
 
     join_hosts()
-    if jax.process_index() > 0:
+    leads, refused = jax.process_index() == 0, None
+    try:
+        found = Directory(config) if leads else Elsewhere(config)
+    except ConfigError as error:
+        refused = error
+    if refused is None:
+        agree(0, "were refused")
+    else:
+        with suppress(ConfigError):
+            agree(1, "were refused")
+        raise refused
+    if not leads:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # one display for all
-    return jax.process_index() == 0
+    return found
 
 
 def run(arguments: list[str], interrupts: Interrupts) -> int:
@@ -84,7 +100,7 @@ def run(arguments: list[str], interrupts: Interrupts) -> int:
     directory: Directory | Elsewhere | None = None
     try:
         config = load(arguments)
-        directory = Elsewhere(config) if not leads(config) else Directory(config)
+        directory = place(config)
         before_jax()
         from experiments.training import train
 

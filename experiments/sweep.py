@@ -7,14 +7,11 @@ are handed to Hydra's launcher, each a process of its own.
 """
 
 import os
-import shutil
 import signal
-import subprocess
 import sys
 import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, suppress
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import redirect_stderr, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -22,160 +19,34 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra import main as hydra_main
 from hydra.core.config_store import ConfigStore
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, HydraException
+from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from experiments import cells
 from experiments.options import ConfigError
 from experiments.overview import Overview, table
-from experiments.stored import reason, schema
-from experiments.validate import CONF, choices, unknown
+from experiments.search import search_report
+from experiments.stored import FREE, reason, schema
+from experiments.validate import CONF
+from experiments.work import FAILED, FIGURE, STOP, Work, gpus_here
 
-FIGURE = "mean_ext_return"  # what a search maximises: it counts how early as well as how often
-STOP = "stop"  # a file that keeps queued cells from beginning
-PATIENCE = 60.0  # seconds that a run may take to end after its worker was killed
+READY = (cells.STOPPED, cells.FAILED, cells.WAITING)
 MEMORY = 3 << 30  # bytes that a run may take (docs/results/speed.md)
 PLUGINS = {"ray": "ray", "submitit_slurm": "slurm", "submitit_local": "slurm", "optuna": "optuna"}
 
 
-class CellFailed(CompactHydraException):
-    """A cell's run did not finish; raised where it ran, so that its launcher knows."""
-
-
-@dataclass(frozen=True)
-class Work:
-    """What a launcher runs: one cell, in a process of its own. Importable, so it can travel."""
-
-    directory: str
-    start: str  # the directory that the sweep was started in
-    swept: tuple[str, ...]  # the keys that a search gives values to
-    threads: int
-    gpus: int  # that cells share out among them
-
-    def __call__(self, config: DictConfig) -> float | None:
-        """Run the cell that Hydra's job names; the figure that a search goes by.
-
-        Raises:
-          CellFailed: why it did not finish.
-        """
-        directory = Path(self.directory)
-        cell = self.cell(directory, config)
-        with cells.held(directory, cell.name, PATIENCE) as log:
-            if log is None:
-                raise CellFailed(f"{cell.name}: another process runs it")
-            if (directory / STOP).exists():
-                raise CellFailed(f"{cell.name}: not begun, the sweep was interrupted")
-            if cell.problem is None:
-                self.run(directory, cell, log)
-            steps, value = cells.figure(directory / cell.name, FIGURE)
-        if cell.problem is not None or steps < cell.total:
-            raise CellFailed(f"{cell.name}: {cell.problem or 'not finished'}")
-        if self.swept and value is None:
-            raise CellFailed(f"{cell.name}: no episode ended, a search has nothing to go by")
-        return value
-
-    def cell(self, directory: Path, config: DictConfig) -> cells.Cell:
-        """The cell of Hydra's job: one that was listed, or what a search came upon."""
-        if name := config.get("cell"):
-            return next(cell for cell, _ in cells.known(directory) if cell.name == name)
-        overrides, _ = divided(HydraConfig.get().overrides.task)
-        GlobalHydra.instance().clear()  # the job's own is not asked again; `load` makes another
-        cell = cells.checked(cells.name_of(overrides, self.swept), overrides)
-        cells.write(directory, cell)
-        return cell
-
-    def run(self, directory: Path, cell: cells.Cell, log: int) -> None:
-        """Begin the cell's run or go on with it, and keep how it ended."""
-        place = directory / cell.name
-        if cells.figure(place, FIGURE)[0] >= cell.total:
-            return
-        command = [sys.executable, "-m", "experiments.run", *cell.overrides]
-        command += [f"run_dir={quoted(place)}", "resume=auto", f"group={quoted(directory)}"]
-        if shutil.which("setpriv"):  # so that a run does not outlive the worker that waits for it
-            command = ["setpriv", "--pdeathsig", "TERM", *command]
-        with self.device(directory) as device:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                cwd=self.start,
-                env=os.environ | threads(self.threads) | device,
-                start_new_session=True,  # Ctrl-C is for the sweep, which passes it on
-            )
-            cells.write(directory, cell, pid=process.pid, host=os.uname().nodename)
-            status = process.wait()
-        last = cells.file_of(directory, cell.name, "log").read_text(errors="replace").splitlines()
-        why = {} if status == 0 else {"reason": said(last, status)}
-        cells.write(directory, cell, status=abs(status) + 128 if status < 0 else status, **why)
-        if status != 0:
-            raise CellFailed(f"{cell.name}: {why['reason']}")
-
-    @contextmanager
-    def device(self, directory: Path) -> Iterator[dict[str, str]]:
-        """The environment that shows a run the GPU that no other cell on this machine has."""
-        for k in range(self.gpus):
-            with cells.held(directory, f"gpu-{os.uname().nodename}-{k}") as own:
-                if own is not None:
-                    yield {"CUDA_VISIBLE_DEVICES": str(k)}
-                    return
-        yield {}
-
-
-def said(lines: list[str], status: int) -> str:
-    """What a run's log says of its end."""
-    if status < 0:
-        return f"killed by {signal.Signals(-status).name}"
-    own = [line.removeprefix("sndjax: ") for line in lines if line.startswith("sndjax: ")]
-    return (own or lines or [f"exit status {status}"])[-1]
-
-
-def quoted(path: Path) -> str:
-    """A path as a value of an override."""
-    return "'" + str(path).replace("'", "\\'") + "'"
-
-
-def threads(count: int) -> dict[str, str]:
-    """The environment of a process that computes with so many threads."""
-    names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    return dict.fromkeys(names, str(count))
-
-
-def shares(launcher: DictConfig, gpus: int) -> tuple[list[str], int]:
+def shares(launcher: DictConfig, gpus: Sequence[str]) -> tuple[list[str], int]:
     """What is still to be said to a launcher, and the threads of each of its cells."""
     cores = len(os.sched_getaffinity(0))
     if "n_jobs" in launcher:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        fitting = gpus or max(1, min(cores, memory // MEMORY))
+        fitting = len(gpus) or max(1, min(cores, memory // MEMORY))
         jobs = launcher.n_jobs if launcher.n_jobs > 0 else fitting
         return [f"hydra.launcher.n_jobs={jobs}"], max(1, cores // jobs)
     if "ray" in launcher:
         return [], int(launcher.ray.remote.get("num_cpus") or 1)
     return [], int(launcher.get("cpus_per_task") or cores)
-
-
-def gpus_here() -> int:
-    """How many NVIDIA GPUs this machine has."""
-    shown = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if shown is not None:
-        return len([name for name in shown.split(",") if name.strip()])
-    return len(list(Path("/proc/driver/nvidia/gpus").glob("*")))
-
-
-def divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The arguments that are our options, and those that are Hydra's."""
-    left = [argument for argument in arguments if argument not in ("-m", "--multirun")]
-    hydras = [a for a in left if a.lstrip("+~").startswith(("hydra", "sweep="))]
-    for argument in left:
-        if "=" not in argument:
-            raise ConfigError(f"cannot read '{argument}': write key=value")
-        name = argument.removeprefix("sweep=")
-        if name != argument and name not in choices("sweep"):
-            raise unknown("sweep", name, choices("sweep"))
-    return [argument for argument in left if argument not in hydras], hydras
 
 
 def asked_of_hydra(hydras: list[str]) -> DictConfig:
@@ -197,57 +68,71 @@ def asked_of_hydra(hydras: list[str]) -> DictConfig:
 def default_directory(own: list[str], hydras: list[str]) -> Path:
     """Where a sweep goes that names no place: the same command, the same place."""
     named = [a.removeprefix("sweep=") for a in hydras if a.startswith("sweep=")]
-    if named and not own:
+    mine = [a for a in own if a.partition("=")[0] not in FREE]
+    if named and not mine:
         return Path("runs/sweeps") / named[0]
-    digest = zlib.crc32("\n".join([*named, *own]).encode())
+    digest = zlib.crc32("\n".join([*named, *mine]).encode())
     return Path("runs/sweeps") / f"{'-'.join([*named, f'{digest:08x}'])}"
 
 
 def multirun(arguments: Sequence[str]) -> int:
     """Run a sweep, or what is left of it; the exit status.
 
-    0 all cells are done; 1 some failed; 130 and 143 interrupted.
+    0 all cells are done; 1 some failed, or the launcher did; 130 and 143 interrupted.
 
     Raises:
       ConfigError: nothing of it can run.
     """
-    own, hydras = divided(arguments)
+    own, hydras = cells.divided(arguments)
     hydra = asked_of_hydra(hydras)
     directory = Path(hydra.sweep.dir or default_directory(own, hydras)).resolve()
     params = [f"{key}={value}" for key, value in (hydra.sweeper.get("params") or {}).items()]
+    given = [*hydras, f"hydra.sweep.dir={cells.quoted(directory)}"]
     search = not hydra.sweeper._target_.endswith(".BasicSweeper")
     (directory / STOP).unlink(missing_ok=True)
-    given = [*hydras, f"hydra.sweep.dir={quoted(directory)}"]
+    before: list[cells.Standing] | None = None  # of a search it is not known
+    swept: tuple[str, ...] = ()
     if search:
         asked, swept = own, cells.swept([*params, *own])
     else:
-        left = to_run(directory, cells.expanded([*params, *own]))
+        before = begun(directory, cells.expanded([*params, *own]))
+        left = [s.cell.name for s in before if s.state in READY and not s.cell.problem]
         if not left:
-            print(table(cells.survey(directory)))
-            write_page(directory)
-            return 0 if all_done(directory) else 1
+            return concluded(directory, before)
         given.append("hydra.sweeper.params=null")
-        swept = ()
-        asked = ["+cell=" + ",".join(f"'{cell.name}'" for cell in left)]
-    gpus = gpus_here()
+        asked = ["+cell=" + ",".join(f"'{name}'" for name in left)]
+    gpus = gpus_here() if "n_jobs" in hydra.launcher else ()
     more, count = shares(hydra.launcher, gpus)
-    work = Work(
-        str(directory), os.getcwd(), swept, count, gpus if "n_jobs" in hydra.launcher else 0
-    )
-    with Overview(directory) as overview, Stopper(directory) as stopper:
+    work = Work(str(directory), os.getcwd(), os.getpid(), swept, count, gpus)
+    with Overview(directory), Stopper(directory / STOP) as stopper:
         trouble = launched(work, ["-m", *given, *more, *asked])
-    told = any(s.state == cells.FAILED for s in overview.standings)
-    if trouble and not told and not stopper.status:
-        raise ConfigError(f"the launcher gave up: {trouble}")
-    print(table(overview.standings))
-    if search and (found := directory / "optimization_results.yaml").is_file():
-        print(f"the best by {FIGURE}, {found}:\n{found.read_text().strip()}")
+    if search and not stopper.status and not trouble:
+        print(search_report(directory, swept, FIGURE))
+    status = concluded(directory, before)
     if stopper.status:
         print(f"interrupted; the same command goes on: hydra.sweep.dir={directory}")
         return stopper.status
-    if any(s.step for s in overview.standings):
+    if trouble:
+        print(f"sndjax: the launcher gave up: {trouble}", file=sys.stderr)
+        return 1
+    return status
+
+
+def concluded(directory: Path, before: list[cells.Standing] | None) -> int:
+    """Show how the cells stand and write the page; 0 where all that were asked for are done."""
+    found = {s.cell.name: s for s in survey(directory)}
+    bad = {s.cell.name: s for s in before or () if s.cell.problem}
+    names = found if before is None else [s.cell.name for s in before]
+    standings = [(found | bad)[name] for name in names]
+    print(table(standings))
+    if any(s.step for s in standings):
         write_page(directory)
-    return 0 if all_done(directory) else 1
+    return 0 if standings and all(s.state == cells.DONE for s in standings) else 1
+
+
+def survey(directory: Path) -> list[cells.Standing]:
+    """How far the cells are; a search has none at first."""
+    return cells.survey(directory) if (directory / cells.FILES).is_dir() else []
 
 
 def write_page(directory: Path) -> None:
@@ -260,8 +145,8 @@ def write_page(directory: Path) -> None:
         report.write([directory], out, live=False)
 
 
-def to_run(directory: Path, listed: list[cells.Cell]) -> list[cells.Cell]:
-    """Keep the cells of a sweep, say what each stands at, and return those that are to run.
+def begun(directory: Path, listed: list[cells.Cell]) -> list[cells.Standing]:
+    """Keep the cells of a sweep, and say what each stands at before anything runs.
 
     Raises:
       ConfigError: none of them can.
@@ -269,11 +154,17 @@ def to_run(directory: Path, listed: list[cells.Cell]) -> list[cells.Cell]:
     if all(cell.problem for cell in listed):
         raise ConfigError(listed[0].problem)
     there = cells.known(directory) if (directory / cells.FILES).is_dir() else []
-    before = {cell.name: last for cell, last in there}
-    now = {c.name: cells.standing(directory, c, before.get(c.name, {})) for c in listed}
+    before = {cell.name: (cell, last) for cell, last in there}
+    now = []
     for cell in listed:
-        if now[cell.name].state != cells.RUNNING:
-            cells.write(directory, cell, **before.get(cell.name, {}))
+        known, last = before.get(cell.name, (None, {}))
+        if cell.problem is None and (other := cells.conflict(directory, cell, known)):
+            cell = cell._replace(problem=other)  # what is there stays as it is
+        now.append(standing := cells.standing(directory, cell, last))
+        if standing.state not in (cells.RUNNING, cells.DONE) and (
+            known is None or not cell.problem
+        ):
+            cells.write(directory, cell, **last)
     words = {
         cells.DONE: "done already",
         cells.RUNNING: "running elsewhere",
@@ -281,27 +172,22 @@ def to_run(directory: Path, listed: list[cells.Cell]) -> list[cells.Cell]:
         cells.FAILED: "failed before, to try again",
         cells.WAITING: "new",
     }
-    counts = {state: [s for s in now.values() if s.state == state] for state in cells.STATES}
-    bad = [s for s in counts[cells.FAILED] if s.cell.problem]
-    counts[cells.FAILED] = [s for s in counts[cells.FAILED] if not s.cell.problem]
+    bad = [s for s in now if s.cell.problem]
+    fine = [s for s in now if not s.cell.problem]
+    counts = {state: [s for s in fine if s.state == state] for state in cells.STATES}
     parts = [f"{len(found)} {words[state]}" for state, found in counts.items() if found]
+    parts += [f"{len(bad)} that cannot run"] if bad else []
     print(f"{directory}: {len(listed)} cells: {', '.join(parts)}")
     for one in bad:
         print(f"cannot run: {one.cell.name}: {one.reason}")
     for state in (cells.STOPPED, cells.FAILED):
         for one in counts[state]:
             print(f"{words[state]}: {one.cell.name}{f': {one.reason}' if one.reason else ''}")
-    ready = (cells.STOPPED, cells.FAILED, cells.WAITING)
-    return [s.cell for s in now.values() if s.state in ready and not s.cell.problem]
-
-
-def all_done(directory: Path) -> bool:
-    """Whether every cell is."""
-    return all(s.state == cells.DONE for s in cells.survey(directory))
+    return now
 
 
 def launched(work: Work, arguments: list[str]) -> str:
-    """Hand the sweep to Hydra; what it complained of, if it did."""
+    """Hand the sweep to Hydra; what it complained of, except of cells: the table has those."""
     before, complaint, conf = sys.argv, StringIO(), str(CONF.resolve())
     sys.argv = ["sndjax", *arguments]
     try:
@@ -310,7 +196,8 @@ def launched(work: Work, arguments: list[str]) -> str:
     except SystemExit as left:
         if left.code:
             lines = [line.strip() for line in complaint.getvalue().splitlines() if line.strip()]
-            return " ".join([line for line in lines if "HYDRA_FULL_ERROR" not in line][-2:])
+            last = [line for line in lines if "HYDRA_FULL_ERROR" not in line][-2:]
+            return "" if any(line.startswith(FAILED) for line in last) else " ".join(last)
     except KeyboardInterrupt:  # a second signal
         return "interrupted"
     finally:
@@ -325,9 +212,9 @@ def launched(work: Work, arguments: list[str]) -> str:
 class Stopper:
     """SIGINT and SIGTERM stop a sweep in order: no cell begins, runs write a checkpoint and end."""
 
-    def __init__(self, directory: Path):
-        """Nothing was asked yet."""
-        self.directory, self.status = directory, 0
+    def __init__(self, stop: Path):
+        """Nothing was asked yet; `stop` is the file that workers look for."""
+        self.file, self.status = stop, 0
 
     def __enter__(self) -> "Stopper":
         self.before = {s: signal.signal(s, self.stop) for s in (signal.SIGINT, signal.SIGTERM)}
@@ -338,16 +225,11 @@ class Stopper:
             signal.signal(number, handler)
 
     def stop(self, number: int, frame: Any) -> None:
-        """Pass a first signal on to the runs; a second one ends the sweep at once."""
+        """Tell the workers, wherever they are; a second signal ends the sweep at once."""
         if self.status:
             raise KeyboardInterrupt
         self.status = 128 + number
-        (self.directory / STOP).touch()
-        here = os.uname().nodename
-        for cell, last in cells.known(self.directory):
-            if last.get("host") == here and cells.is_held(self.directory, cell.name):
-                with suppress(ProcessLookupError):
-                    os.kill(last["pid"], signal.SIGTERM)
+        self.file.touch()
 
 
 def main(arguments: list[str]) -> int:

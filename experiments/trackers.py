@@ -9,14 +9,14 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from experiments.directory import replace
+from experiments.directory import TOLD, replace
 from experiments.options import Config, ConfigError
 from experiments.stored import settings
 
-TOLD = "tracker.json"
 NOT_FIGURES = ("seed", "step", "iteration")
 Lines = list[dict[str, Any]]
 
@@ -37,7 +37,8 @@ class Tracker:
             before = {}
         mine = before.get("tracker") == config.tracker
         self.ids: dict[str, str] = before.get("ids", {}) if mine else {}
-        self.told = int(before.get("iteration", 0)) if mine else 0
+        past = before.get("told", {}) if mine else {}
+        self.told = {seed: int(past.get(str(seed), 0)) for seed in config.seeds}
         self.lines: Lines = []
         self.broken = ""
         kinds: dict[str, Callable[[], Any]] = {
@@ -52,33 +53,41 @@ class Tracker:
             raise ConfigError(f"tracker={config.tracker} is not installed: {hint}") from None
         except Exception as error:  # whatever a service may raise
             raise ConfigError(f"tracker={config.tracker}: {error}") from None
+        if self.service is not None:
+            self.keep()
+
+    def keep(self) -> None:
+        """Remember what was told, and to which runs."""
+        entry = {"tracker": self.config.tracker, "told": self.told, "ids": self.ids}
+        replace(self.path / TOLD, json.dumps(entry) + "\n")
 
     def take_in(self, lines: Sequence[dict[str, Any]]) -> None:
         """Keep lines of metrics.jsonl until they are told."""
         if self.service is not None and not self.broken:
-            self.lines += [line for line in lines if line["iteration"] > self.told]
+            self.lines += [line for line in lines if line["iteration"] > self.told[line["seed"]]]
 
     def tell(self, iteration: int | None) -> str:
         """Tell the lines up to an iteration whose checkpoint is safe; why it gave up, if it did."""
         ready = [line for line in self.lines if line["iteration"] <= (iteration or 0)]
-        if not ready:
-            return ""
-        try:
-            for seed in self.config.seeds:
-                self.service.log(seed, [line for line in ready if line["seed"] == seed])
-        except Exception as error:  # no run ends over its tracker
-            self.broken, self.lines = f"tracker={self.config.tracker} is told no more: {error}", []
-            return self.broken
+        for seed in self.config.seeds:
+            own = [line for line in ready if line["seed"] == seed]
+            if not own:
+                continue
+            try:
+                self.service.log(seed, own)
+            except Exception as error:  # no run ends over its tracker
+                self.broken, self.lines = str(error), []
+                return f"tracker={self.config.tracker} is told no more: {error}"
+            self.told[seed] = own[-1]["iteration"]
+            self.keep()
         self.lines = self.lines[len(ready) :]
-        self.told = ready[-1]["iteration"]
-        entry = {"tracker": self.config.tracker, "iteration": self.told, "ids": self.ids}
-        replace(self.path / TOLD, json.dumps(entry) + "\n")
         return ""
 
     def close(self, finished: bool) -> None:
-        """End the tracker's runs."""
+        """End the tracker's runs; that it cannot is no reason to fail."""
         if self.service is not None and not self.broken:
-            self.service.close(finished)
+            with suppress(Exception):
+                self.service.close(finished)
 
 
 def figures(line: dict[str, Any]) -> dict[str, float]:
@@ -108,20 +117,22 @@ class MLflow:
         os.environ.setdefault("MLFLOW_ALLOW_FILE_STORE", "true")
         from mlflow import MlflowClient
         from mlflow.entities import Metric, Param
+        from mlflow.exceptions import MlflowException
 
         self.metric, self.ids = Metric, ids
         place = os.environ.get("MLFLOW_TRACKING_URI", Path("mlruns").resolve().as_uri())
-        self.client = MlflowClient(tracking_uri=place)
-        found = self.client.get_experiment_by_name(group(config))
-        experiment = (
-            self.client.create_experiment(group(config)) if found is None else found.experiment_id
-        )
+        self.client = client = MlflowClient(tracking_uri=place)
+        with suppress(MlflowException):  # it is there, or another cell has just made it
+            client.create_experiment(group(config))
+        found = client.get_experiment_by_name(group(config))
+        if found is None:
+            raise ValueError(f"no experiment {group(config)} at {place}")
         params = [Param(k, str(v)) for k, v in settings(config).items() if k != "seed"]
         for seed in config.seeds:
             if str(seed) in ids:
                 self.client.update_run(ids[str(seed)], status="RUNNING")
                 continue
-            run = self.client.create_run(experiment, run_name=title(config, seed))
+            run = self.client.create_run(found.experiment_id, run_name=title(config, seed))
             ids[str(seed)] = run.info.run_id
             own = [*params, Param("seed", str(seed))]
             self.client.log_batch(run.info.run_id, params=own)

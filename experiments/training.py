@@ -44,7 +44,7 @@ class Run:
         self.layout = layout(config)
         self.journal = Journal(config, directory, self.layout)
         mine = self.layout.envs(config.num_envs)
-        groups = groups_of(config.num_envs) if self.layout.hosts == 1 else 1
+        groups = self.layout.groups(groups_of(config.num_envs), config.num_envs)
         pools = make_pools(config.env, self.seeds, config.num_envs, self.journal.done, groups, mine)
         self.pool = pools[0]
         self.agent = build(config, self.pool)

@@ -60,12 +60,15 @@ def test_wandb_keeps_a_run_for_every_seed_on_this_machine(tmp_path, monkeypatch)
     assert len(found) == 2
     assert {path.stem[-1] for path in found} == {"0", "1"}
     told = json.loads((tmp_path / "run" / TOLD).read_text())
-    assert told["iteration"] == 2
+    assert told["told"] == {"0": 2, "1": 2}
 
 
 class Broken:
     def log(self, seed, lines):
         raise RuntimeError("it is down")
+
+    def close(self, finished):
+        raise RuntimeError("it is still down")
 
 
 def test_a_tracker_that_breaks_is_told_no_more_and_nothing_else_happens(tmp_path):
@@ -78,6 +81,21 @@ def test_a_tracker_that_breaks_is_told_no_more_and_nothing_else_happens(tmp_path
     tracker.take_in([line])
     assert tracker.tell(2) == ""
     tracker.close(finished=True)
+    tracker.broken = ""
+    tracker.close(finished=True)
+
+
+def test_a_run_that_is_opened_again_before_anything_was_told_is_the_same_run(tmp_path, monkeypatch):
+    pytest.importorskip("mlflow")
+    monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")
+    monkeypatch.chdir(tmp_path)
+    config = load(["env=MountainCar", "algo=ppo", "tracker=mlflow", "group=swept"])
+    for _ in range(3):
+        Tracker(config, tmp_path)
+    from mlflow import MlflowClient
+
+    client = MlflowClient(tracking_uri=(tmp_path / "mlruns").as_uri())
+    assert len(client.search_runs([client.get_experiment_by_name("swept").experiment_id])) == 1
 
 
 class Kept(list):
