@@ -25,6 +25,7 @@ from experiments.progress import Bars
 
 REFERENCE = "snd_vic"  # of algorithms that have no benchmark
 LOG_BYTES = 1100  # of a line of metrics.jsonl, with TensorBoard's copy of its figures twice that
+ROLLOUT_MB = {"Atari": 129 * 128 * 96 * 96 / 1e6, "Procgen": 129 * 128 * 64 * 64 * 3 / 1e6}
 KEPT = 3  # checkpoints: the newest two and the best
 HOUR = 3600.0
 
@@ -110,9 +111,9 @@ def report(options: Options) -> str:
     stepping = [one["seconds_per_1000_steps"]["environment"] for one in measured.values()]
     pool = 1000 / median(stepping) / 2 * options.cores  # steps/s beside a GPU
     lines = [
-        "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | disk a run, MB "
-        "| hours on two cores | GPU hours |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | GPU memory, MB "
+        "| disk, MB | hours on two cores | GPU hours |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     slow: list[float] = []
     fast: list[float] = []
@@ -130,7 +131,8 @@ def report(options: Options) -> str:
         fast += [on_gpu] * kind.runs
         lines.append(
             f"| `{algo}` | {family} | {kind.runs} | {kind.steps / 1e6:,.0f} | {kind.gflop:.2f} "
-            f"| {kind.state_mb:,.0f} | {own:,.0f} | {two_cores:,.0f} | {on_gpu:.1f} |"
+            f"| {kind.state_mb:,.0f} | {2 * kind.state_mb + ROLLOUT_MB[family]:,.0f} | {own:,.0f} "
+            f"| {two_cores:,.0f} | {on_gpu:.1f} |"
         )
     resident = max(one["peak_rss_mb"] for one in measured.values()) / 1e3
     how = "as measured (bench-gpu.json)" if gpu else f"of {pool:,.0f} steps/s, as its environments"
@@ -140,15 +142,18 @@ def report(options: Options) -> str:
         f"{sum(fast):,.0f} hours on GPUs {how}; {disk / 1e3:,.0f} GB on the disk; "
         f"{resident:.1f} GB of memory for each run at once.",
         "",
-        "| GPUs | days | runs at once | memory, GB | what limits it |",
+        f"A GPU keeps up with {options.cores} cores of environments as long as its learner "
+        f"reaches {needed:,.0f} TFLOP/s ({needed / options.gpu_tflops:.0%} of its TF32 peak) for "
+        "the heaviest algorithm; below that it is the limit.",
+        "",
+        "| GPUs | days | busy | memory, GB | the longest run, hours |",
         "|---|---|---|---|---|",
     ]
     for count in (1, 8, 64):
-        days = makespan(fast, count) / 24
+        hours = makespan(fast, count)
         lines.append(
-            f"| {count} | {days:,.1f} | {count} | {count * resident:,.0f} "
-            f"| {options.cores} cores of environments a GPU, while a learner reaches "
-            f"{needed:,.0f} TFLOP/s ({needed / options.gpu_tflops:.0%} of its peak) |"
+            f"| {count} | {hours / 24:,.1f} | {sum(fast) / (count * hours):.0%} "
+            f"| {count * resident:,.0f} | {max(fast):.1f} |"
         )
     return "\n".join(lines)
 
