@@ -2,8 +2,11 @@
 
 import json
 
-from experiments import benches, budget
+from experiments import benches, budget, cells
 from experiments.budget import Kind, Options, report
+from experiments.sweep import asked_of_hydra
+
+PRODUCT = cells.product
 
 
 def test_hours_and_disk_are_those_of_the_measured_rates(tmp_path, monkeypatch):
@@ -22,18 +25,28 @@ def test_hours_and_disk_are_those_of_the_measured_rates(tmp_path, monkeypatch):
     text = report(Options(cores=16))
     # 3.6M steps at 50 a second: 20 hours. 16 cores at 2,000 a second each: 32,000, 0.03 hours.
     row = next(line for line in text.splitlines() if line.startswith("| `rnd`"))
-    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    shown = [cell.strip() for cell in row.strip("|").split("|")]
     disk = 3 * 200 + 3 * 1100 * 1000 / 1e6
     gpu = 2 * 200 + 129 * 128 * 96 * 96 / 1e6
-    assert cells[2:] == ["9", "4", "1.00", "200", f"{gpu:.0f}", f"{disk:.0f}", "20", "0.0"]
+    assert shown[2:] == ["9", "4", "1.00", "200", f"{gpu:.0f}", f"{disk:.0f}", "20", "0.0"]
     assert "9 runs, 180 hours on machines of two cores" in text
     assert "32,000 steps/s" in text
     assert "32 TFLOP/s" in text
 
 
-def test_the_thesis_is_720_runs(monkeypatch):
+def test_the_thesis_is_720_runs():
+    params = asked_of_hydra(["sweep=thesis"]).sweeper.params
+    runs = [tuple(one) for one in cells.product([f"{k}={v}" for k, v in params.items()])]
+    assert len(set(runs)) == 720
+    assert sum("algo=snd_std" in run and "env=Venture" in run for run in runs) == 9
+
+
+def test_kinds_are_counted_with_their_seeds(monkeypatch):
     monkeypatch.setattr(budget, "weight", lambda algo, family: (1.0, 100.0))
+    params = ["env=Venture,Climber", "algo=ppo", "seed=range(9)"]
+    monkeypatch.setattr(cells, "product", lambda _: PRODUCT(params))
     found = budget.kinds_of("thesis")
-    assert sum(kind.runs for kind in found.values()) == 720
-    assert found["snd_std", "Atari"][:2] == (54, 128_000_000)
-    assert found["ppo", "Procgen"][:2] == (36, 64_000_000)
+    assert {key: kind[:2] for key, kind in found.items()} == {
+        ("ppo", "Atari"): (9, 128_000_000),
+        ("ppo", "Procgen"): (9, 64_000_000),
+    }
