@@ -188,20 +188,26 @@ def write(directory: Path, cell: Cell, **more: Any) -> None:
     replace(path, json.dumps(cell._asdict() | more) + "\n")
 
 
+def recorded(path: Path) -> tuple[Cell, dict[str, Any]]:
+    """A cell with what is known of its last run.
+
+    Raises:
+      ConfigError: the file is none of ours.
+    """
+    try:
+        entry = json.loads(path.read_text())
+        return Cell(*(entry.pop(field) for field in Cell._fields)), entry
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise ConfigError(f"{path} is no cell of a sweep") from None
+
+
 def known(directory: Path) -> list[tuple[Cell, dict[str, Any]]]:
     """Every cell of a sweep with what is known of its last run.
 
     Raises:
       ConfigError: there is no sweep here.
     """
-    found = []
-    for path in sorted((directory / FILES).rglob("*.json")):
-        try:
-            entry = json.loads(path.read_text())
-            cell = Cell(*(entry.pop(field) for field in Cell._fields))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            raise ConfigError(f"{path} is no cell of a sweep") from None
-        found.append((cell, entry))
+    found = [recorded(path) for path in sorted((directory / FILES).rglob("*.json"))]
     if not found:
         raise ConfigError(f"{directory}: there is no sweep here")
     return found

@@ -61,7 +61,8 @@ def asked_of_hydra(hydras: list[str]) -> DictConfig:
             return compose("multirun", overrides=hydras, return_hydra_config=True).hydra
     except (HydraException, OmegaConfBaseException) as error:
         missing = [n for n in PLUGINS if any(a.endswith(f"={n}") for a in hydras)]
-        hint = f" (pip install '.[{PLUGINS[missing[0]]}]')" if missing else ""
+        absent = missing and "not find" in str(error)
+        hint = f" (pip install '.[{PLUGINS[missing[0]]}]')" if absent else ""
         raise ConfigError(f"{reason(error)}{hint}") from None
 
 

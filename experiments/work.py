@@ -67,10 +67,14 @@ class Work:
     def cell(self, directory: Path, config: DictConfig) -> cells.Cell:
         """The cell of Hydra's job: one that was listed, or what a search came upon."""
         if name := config.get("cell"):
-            return next(cell for cell, _ in cells.known(directory) if cell.name == name)
+            return cells.recorded(cells.file_of(directory, name, "json"))[0]
         overrides, _ = cells.divided(HydraConfig.get().overrides.task)
         GlobalHydra.instance().clear()  # the job's own is not asked again; `load` makes another
         cell = cells.checked(cells.name_of(overrides, self.swept), overrides)
+        path = cells.file_of(directory, cell.name, "json")
+        known = cells.recorded(path)[0] if path.exists() else None
+        if other := cells.conflict(directory, cell, known):
+            return cell._replace(problem=other)
         if cells.figure(directory / cell.name, FIGURE)[0] < cell.total or cell.problem:
             cells.write(directory, cell)
         return cell
@@ -87,16 +91,17 @@ class Work:
         if shutil.which("setpriv"):  # so that a run does not outlive the worker that waits for it
             command = ["setpriv", "--pdeathsig", "TERM", *command]
         before = os.fstat(log).st_size
-        with self.device() as device, deaf(os.getpid() != self.starter):
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                cwd=self.start,
-                env=os.environ | threads(self.threads) | device,
-                start_new_session=True,  # Ctrl-C is for the sweep, which passes it on
-            )
+        with self.device() as device:
+            with deaf(os.getpid() != self.starter):
+                process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    cwd=self.start,
+                    env=os.environ | threads(self.threads) | device,
+                    start_new_session=True,  # Ctrl-C is for the sweep, which passes it on
+                )
             cells.write(directory, cell, pid=process.pid)
             try:
                 status = waited(process, directory / STOP)
@@ -126,12 +131,16 @@ class Work:
 
 @contextmanager
 def deaf(worker: bool) -> Iterator[None]:
-    """What a terminal or Slurm tells every process is not for a worker and its run."""
+    """What is begun inside does not hear the signal by which Slurm tells a job of its time limit.
+
+    That is for the worker, which ends its run in order. From here on a worker does not hear a
+    terminal's Ctrl-C: that is for the sweep.
+    """
     if not worker or threading.current_thread() is not threading.main_thread():
         yield
         return
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for good: the next cell is as deaf
-    heard = signal.signal(signal.SIGUSR2, signal.SIG_IGN)  # which the run inherits
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    heard = signal.signal(signal.SIGUSR2, signal.SIG_IGN)
     try:
         yield
     finally:
