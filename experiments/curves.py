@@ -36,12 +36,18 @@ def over_iterations(figure: str) -> Callable[[Seed], Curve | None]:
 
     def of(seed: Seed) -> Curve | None:
         values = seed.metrics.get(figure)
-        if values is None or not np.nan_to_num(values).any():
-            return None  # of the baseline's novelty, say
+        if values is None:
+            return None
         there = np.isfinite(values)
         return (seed.metrics["step"][there], values[there]) if there.any() else None
 
     return of
+
+
+def novelty(seed: Seed) -> Curve | None:
+    """The intrinsic reward, of which the baseline has none."""
+    curve = over_iterations("int_reward_mean")(seed)
+    return curve if curve is not None and curve[1].any() else None
 
 
 def rooms_so_far(seed: Seed) -> Curve | None:
@@ -55,7 +61,7 @@ def rooms_so_far(seed: Seed) -> Curve | None:
 QUANTITIES = {
     "return": Quantity("external return of an episode", over_episodes("ext_return")),
     "score": Quantity("game score of an episode", over_episodes("score")),
-    "intrinsic": Quantity("intrinsic reward, mean of a step", over_iterations("int_reward_mean")),
+    "intrinsic": Quantity("intrinsic reward, mean of a step", novelty),
     "rooms": Quantity("most rooms in one episode", rooms_so_far),
     "last100": Quantity(
         "external return, mean of the last 100 episodes", over_iterations("last100_ext_return")

@@ -131,6 +131,19 @@ def test_a_curve_is_the_mean_of_what_is_held(runs, tmp_path):
     assert {(row["step"], row["mean"]) for row in rows} == {("100.0", "0.5")}
 
 
+def test_an_agent_that_never_gets_anything_has_a_curve_too(tmp_path):
+    made(tmp_path / "ppo", ["env=MountainCar", "algo=ppo"], {0: [(64, 0.0, 0.0)]}, {0: [0.0, 0.0]})
+    log = tmp_path / "ppo" / "metrics.jsonl"
+    lines = [
+        json.loads(line) | {"last100_ext_return": 0.0} for line in log.read_text().splitlines()
+    ]
+    log.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    groups = grouped(find([tmp_path])[0])
+    draw(groups, "last100", "title", tmp_path, "curve")
+    assert {row["mean"] for row in csv.DictReader((tmp_path / "curve.csv").open())} == {"0.0"}
+    assert draw(groups, "intrinsic", "title", tmp_path, "none") is None  # the baseline has none
+
+
 def test_a_seed_counts_once_as_far_as_it_went(runs):
     made(runs / "again", ["env=Venture", "algo=snd_vic"], {0: [(9, 9.0, 9.0)]}, {0: [0.5]})
     made(runs / "without", ["env=Venture", "algo=snd_vic", "seed=7"], {7: []}, {7: [0.5]})
