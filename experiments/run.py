@@ -37,7 +37,7 @@ def console() -> None:
         status = 1
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.stderr.flush()
-    if status > 128:
+    if status > 128 and "experiments.training" in sys.modules:
         os._exit(status)  # an update that was broken off may have minutes to go: do not wait
     sys.exit(status)
 

@@ -190,7 +190,7 @@ def begun(directory: Path, listed: list[cells.Cell]) -> list[cells.Standing]:
 def launched(work: Work, arguments: list[str]) -> str:
     """Hand the sweep to Hydra; what it complained of, except of cells: the table has those."""
     before, complaint, conf = sys.argv, StringIO(), str(CONF.resolve())
-    sys.argv = ["sndjax", *arguments]
+    sys.argv, at_once = ["sndjax", *arguments], False
     try:
         with redirect_stderr(complaint):
             hydra_main(version_base="1.3", config_path=conf, config_name="multirun")(work)()
@@ -200,13 +200,14 @@ def launched(work: Work, arguments: list[str]) -> str:
             last = [line for line in lines if "HYDRA_FULL_ERROR" not in line][-2:]
             return "" if any(line.startswith(FAILED) for line in last) else " ".join(last)
     except KeyboardInterrupt:  # a second signal
+        at_once = True
         return "interrupted"
     finally:
         sys.argv = before
         if "joblib" in sys.modules:  # its workers would wait for more
             from joblib.externals.loky import get_reusable_executor
 
-            get_reusable_executor().shutdown(kill_workers=True)
+            get_reusable_executor().shutdown(kill_workers=at_once)
     return ""
 
 
