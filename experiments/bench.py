@@ -261,6 +261,9 @@ def table(measured: dict[str, Any]) -> str:
 
 def main(arguments: list[str]) -> int:
     """Print the table and the JSON object."""
+    if {"-h", "--help"} & set(arguments):
+        print(__doc__)
+        return 0
     whole = "--whole" in arguments
     try:
         config = load([a for a in arguments if a != "--whole"])

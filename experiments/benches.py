@@ -31,6 +31,9 @@ def figures(platform: str) -> Path:
 
 def main(arguments: list[str]) -> int:
     """Print a line a benchmark."""
+    if {"-h", "--help"} & set(arguments):
+        print(__doc__)
+        return 0
     names = [argument for argument in arguments if argument != "--write"] or ALGORITHMS
     if unknown := set(names) - set(ALGORITHMS):
         print(f"sndjax: no figures of {', '.join(unknown)}; there is {', '.join(ALGORITHMS)}")
