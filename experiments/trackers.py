@@ -40,7 +40,7 @@ class Tracker:
         past = before.get("told", {}) if mine else {}
         self.told = {seed: int(past.get(str(seed), 0)) for seed in config.seeds}
         self.lines: Lines = []
-        self.broken = ""
+        self.broken = False
         kinds: dict[str, Callable[[], Any]] = {
             "none": lambda: None,
             "mlflow": lambda: MLflow(config, self.ids),
@@ -76,7 +76,7 @@ class Tracker:
             try:
                 self.service.log(seed, own)
             except Exception as error:  # no run ends over its tracker
-                self.broken, self.lines = str(error), []
+                self.broken, self.lines = True, []
                 return f"tracker={self.config.tracker} is told no more: {error}"
             self.told[seed] = own[-1]["iteration"]
             self.keep()

@@ -81,7 +81,7 @@ def test_a_tracker_that_breaks_is_told_no_more_and_nothing_else_happens(tmp_path
     tracker.take_in([line])
     assert tracker.tell(2) == ""
     tracker.close(finished=True)
-    tracker.broken = ""
+    tracker.broken = False
     tracker.close(finished=True)
 
 
