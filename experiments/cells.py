@@ -259,7 +259,7 @@ def is_held(directory: Path, name: str) -> bool:
 def standing(directory: Path, cell: Cell, last: dict[str, Any]) -> Standing:
     """How far a cell is, by its run directory, its lock and what its last run ended with."""
     line = last_line(directory / cell.name / "metrics.jsonl")
-    steps, last100 = summary(directory / cell.name)
+    steps, last100 = figure(directory / cell.name, "last100_ext_return")
     step = max(steps, int(line.get("step", 0)))
     reason = str(last.get("reason", ""))
     if cell.problem is not None:
@@ -277,11 +277,6 @@ def standing(directory: Path, cell: Cell, last: dict[str, Any]) -> Standing:
 def survey(directory: Path) -> list[Standing]:
     """How far every cell of a sweep is."""
     return [standing(directory, cell, last) for cell, last in known(directory)]
-
-
-def summary(run: Path) -> tuple[int, float | None]:
-    """The steps per seed of a run's last summary, and the mean return of the last episodes."""
-    return figure(run, "last100_ext_return")
 
 
 def figure(run: Path, name: str) -> tuple[int, float | None]:

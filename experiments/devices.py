@@ -17,7 +17,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from experiments.options import Config, ConfigError
 
-ROWS = ("JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
+WHO = ("JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
 
 
 def join_hosts() -> None:
@@ -26,7 +26,7 @@ def join_hosts() -> None:
     Raises:
       ConfigError: neither says who they are, or they do not come.
     """
-    count, own = (os.environ.get(name) for name in ROWS)
+    count, own = (os.environ.get(name) for name in WHO)
     try:
         jax.distributed.initialize(
             num_processes=None if count is None else int(count),

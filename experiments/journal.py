@@ -45,9 +45,10 @@ class Journal:
     def find(self) -> int | None:
         """The iteration to go on from, if the run had got so far as to have a first checkpoint."""
         try:
-            found, self.manifest, self.said = self.checkpoints.find(self.check)
+            found, self.manifest, said = self.checkpoints.find(self.check)
         except Damaged as error:
             raise self.nothing(error) from None
+        self.said += said
         log = self.shared / LOGS[0]
         if found is None and log.exists() and log.stat().st_size:
             raise self.nothing("there are logs and no checkpoint")
@@ -87,7 +88,7 @@ class Journal:
         marks = self.manifest.get("logs", {}) if self.layout.leads else {}
         self.glimpses = Glimpses(agent)
         self.records = Records(self.path, self.config.seeds, rooms, marks)
-        self.tracker.take_in(list(self.records.past()))
+        self.tracker.take_in(self.records.past())
 
     def log(
         self,

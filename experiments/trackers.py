@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -61,7 +61,7 @@ class Tracker:
         entry = {"tracker": self.config.tracker, "told": self.told, "ids": self.ids}
         replace(self.path / TOLD, json.dumps(entry) + "\n")
 
-    def take_in(self, lines: Sequence[dict[str, Any]]) -> None:
+    def take_in(self, lines: Iterable[dict[str, Any]]) -> None:
         """Keep lines of metrics.jsonl until they are told."""
         if self.service is not None and not self.broken:
             self.lines += [line for line in lines if line["iteration"] > self.told[line["seed"]]]
