@@ -13,7 +13,7 @@ import sndjax
 from experiments.devices import ONE_DEVICE, OneDevice
 from experiments.environments import Pool
 from experiments.extension import load_module
-from experiments.options import COPYING, AlgoConfig, Config
+from experiments.options import COPYING, AlgoConfig, Config, ConfigError
 from sndjax.acting import scale_vectors
 from sndjax.algorithms import NAMED
 
@@ -51,7 +51,11 @@ def motivation_of(algo: AlgoConfig, num_actions: int, size: sndjax.Architecture)
 def build(config: Config, pool: Pool) -> sndjax.Agent:
     """The agent of a configuration for the frames and actions of a pool."""
     if pool.dtype != np.uint8:
+        if config.network != "thesis":
+            raise ConfigError(f"network={config.network} is for pixels; {config.env.id} has none")
         size = sndjax.VECTOR
+    elif config.network == "small":
+        size = sndjax.SMALL
     else:
         size = sndjax.ATARI if pool.shape[-1] == 1 else sndjax.PROCGEN
     motivation = motivation_of(config.algo, pool.num_actions, size)

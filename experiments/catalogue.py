@@ -41,11 +41,17 @@ def family_of(task: str) -> str:
     """The config family of an envpool task.
 
     Raises:
-      ConfigError: there is no such task, or its actions are not one discrete choice.
+      ConfigError: there is no such task, its actions are not one discrete choice, or its levels
+        are broken.
     """
     known = envpool.list_all_envs()
     if task not in known:
         raise unknown("envpool task", task, known)
+    if task.startswith("MiniGrid-MultiRoom"):
+        raise ConfigError(
+            f"env.id={task}: envpool puts up to a third of its doors into corners, and most of "
+            f"its levels cannot be solved; take env.suite=gymnasium env.id=minigrid:{task}"
+        )
     try:
         space = envpool.make_spec(task).action_space
     except Exception as error:  # a task that needs files of its own, say

@@ -12,13 +12,22 @@ from omegaconf.errors import OmegaConfBaseException
 
 from experiments.options import OBJECTIVES, Config, ConfigError
 from experiments.stored import reason, repeated, resumed, resumed_or_fresh, schema
-from experiments.validate import BY_ID, CONF, GROUPS, choices, options, unknown, validated
+from experiments.validate import (
+    BY_ID,
+    CHOSEN,
+    CONF,
+    GROUPS,
+    choices,
+    options,
+    unknown,
+    validated,
+)
 
 
 def parse(arguments: list[str]) -> dict[str, Override]:
     """The overrides by key; refused where they are no key=value of a known key."""
     parser = OverridesParser.create()
-    known = {name for name, _ in options()} | set(GROUPS)
+    known = {name for name, _ in options()} | set(CHOSEN)
     parsed: dict[str, Override] = {}
     for argument in arguments:
         try:
@@ -36,7 +45,7 @@ def parse(arguments: list[str]) -> dict[str, Override]:
         if key in parsed:
             raise ConfigError(f"'{key}' is given twice")
         parsed[key] = override
-    for group in GROUPS:
+    for group in CHOSEN:
         if group in parsed and parsed[group].value() not in choices(group):
             name = str(parsed[group].value())
             hint = " (any envpool task: env=envpool env.id=NAME)" if group == "env" else ""
@@ -74,12 +83,12 @@ def composed(overrides: dict[str, Override]) -> Config:
     lines = [line(override) for override in overrides.values()]
     env = str(overrides["env"].value())
     if env in BY_ID and "env.id" not in overrides:
-        example = {"envpool": "Pong-v5", "gymnasium": "CartPole-v1"}[env]
-        raise ConfigError(f"env={env} needs a task: env.id={example}, say")
+        raise ConfigError(f"env={env} needs a task: env.id={BY_ID[env]}, say")
     for key in ("env.id", "env.suite"):
         if key in overrides and env not in BY_ID:
             raise ConfigError(f"{key}: env={env} has its own; take env=envpool or env=gymnasium")
-    if "env.id" in overrides and env != "gymnasium":
+    suite = overrides["env.suite"].value() if "env.suite" in overrides else env
+    if "env.id" in overrides and suite != "gymnasium":
         from experiments.catalogue import family_of  # imports envpool
 
         family = family_of(str(overrides["env.id"].value()))
@@ -152,7 +161,8 @@ def help_text() -> str:
         "  python -m experiments.run env=Venture algo=snd_std num_seeds=3 total_steps=1_000_000",
         "  python -m experiments.run resume=runs/Venture/snd_std/<time>-<id>",
     ]
-    for group, title in (("env", "environments"), ("algo", "algorithms")):
+    titles = ("environments", "algorithms", "presets, which may be left out")
+    for group, title in zip(CHOSEN, titles, strict=True):
         names = choices(group)
         lines += ["", f"{title} ({group}=NAME)"]
         lines += [f"  {name:<18} {about}" for name, about in names.items()]

@@ -100,6 +100,27 @@ class Vectors:
         return (np.concatenate(parts, axis=1) - self.centre) / self.half
 
 
+class Cells:
+    """MiniGrid's view and the agent's direction, one-hot: a cell's numbers name things.
+
+    The mission is not read, so that what only it tells (which of several objects) stays unknown.
+    """
+
+    unbounded: tuple[bool, ...] = ()
+    kinds = (11, 6, 4)  # objects, colours, and states: a door's, or a direction
+
+    def __init__(self, space: Any):
+        height, width, _ = space["image"].shape
+        self.shape = (height * width * sum(self.kinds) + int(space["direction"].n),)
+        self.dtype = np.float32
+
+    def read(self, observation: Any) -> np.ndarray:
+        image, direction = observation["image"], np.ravel(observation["direction"])
+        planes = [np.eye(n, dtype=np.float32)[image[..., k]] for k, n in enumerate(self.kinds)]
+        view = np.concatenate(planes, axis=-1).reshape(len(image), -1)
+        return np.concatenate([view, np.eye(4, dtype=np.float32)[direction]], axis=1)
+
+
 class Pool:
     """S x N environments of one task, stepped together.
 
@@ -129,7 +150,8 @@ class Pool:
             and len(space.shape) == 3
             and sorted(space.shape)[1] >= 32
         )
-        self.reader = Images(space) if image else Vectors(space)
+        kind = Images if image else Cells if "MiniGrid-" in config.id else Vectors
+        self.reader = kind(space)
         self.shape, self.dtype = self.reader.shape, self.reader.dtype
         self.unbounded = self.reader.unbounded
         self.num_actions = int(actions.n)

@@ -114,6 +114,9 @@ class Config:
     env: EnvConfig = field(default_factory=EnvConfig)
     algo: AlgoConfig = field(default_factory=AlgoConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
+    network: str = option(
+        "thesis", "of pixels: the thesis', or one for two cores", choices=("thesis", "small")
+    )
     seed: int = option(0, "the first seed", low=0, high=2**31 - 1)
     num_seeds: int = option(1, "agents trained side by side: seed, seed + 1, ...", low=1, high=1024)
     num_envs: int = option(128, "environments per seed", low=1, high=65536)

@@ -138,6 +138,8 @@ def apply(stored: Config, overrides: dict[str, Override], what: str) -> Config:
     values = OmegaConf.create(asdict(stored))
     changed = {}
     for key, override in overrides.items():
+        if key == "preset":
+            raise ConfigError(f"{what}: the run has its settings; leave preset out")
         was, now = (
             OmegaConf.select(values, f"{key}.name" if key in GROUPS else key),
             override.value(),

@@ -10,8 +10,13 @@ from typing import Any
 from experiments.options import COPYING, Config, ConfigError
 
 CONF = Path(__file__).parent / "conf"
-GROUPS = ("env", "algo")
-BY_ID = ("envpool", "gymnasium")  # environments that are named by env.id=
+GROUPS = ("env", "algo")  # of which every run names one each
+CHOSEN = (*GROUPS, "preset")
+BY_ID = {  # environments that are named by env.id=, each with one such task
+    "envpool": "Pong-v5",
+    "gymnasium": "CartPole-v1",
+    "MiniGrid": "MiniGrid-DoorKey-8x8-v0",
+}
 
 
 def choices(group: str) -> dict[str, str]:

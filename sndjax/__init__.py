@@ -24,7 +24,16 @@ from sndjax.algorithms import (
 from sndjax.grid import Recipe, cell, grid
 from sndjax.guard import all_finite, skip_nonfinite
 from sndjax.module import compose
-from sndjax.networks import ATARI, PROCGEN, VECTOR, ActorCritic, Architecture, Encoder, Perceptron
+from sndjax.networks import (
+    ATARI,
+    PROCGEN,
+    SMALL,
+    VECTOR,
+    ActorCritic,
+    Architecture,
+    Encoder,
+    Perceptron,
+)
 from sndjax.objectives.barlow_twins import barlow_twins, barlow_twins_loss
 from sndjax.objectives.byol import byol, byol_distance
 from sndjax.objectives.contrastive import contrastive, contrastive_loss
@@ -66,6 +75,7 @@ from sndjax.weighted_sum import weighted_sum
 __all__ = [
     "ATARI",
     "PROCGEN",
+    "SMALL",
     "VECTOR",
     "Actor",
     "ActorCritic",

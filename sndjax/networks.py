@@ -30,12 +30,16 @@ class Architecture(NamedTuple):
     snd_v_channels: tuple[int, ...] = (16, 32, 64)
     features: int = 512  # d, and the width of every linear layer
     hidden: tuple[int, ...] = (64, 64)
+    patch: int = 0  # side of the patches, apart from each other, that the first layer reads
 
     def convolutions(self, last: int) -> tuple[Convolution, ...]:
         """The convolutions of the thesis: three of stride 2, then one of stride 1."""
         if not self.channels:
             return ()
-        return (*(Convolution(c, stride=2) for c in self.channels), Convolution(last))
+        layers = [Convolution(c, stride=2) for c in self.channels]
+        if self.patch:
+            layers[0] = Convolution(self.channels[0], self.patch, self.patch, padding=0)
+        return (*layers, Convolution(last))
 
     def snd_v_convolutions(self) -> tuple[Convolution, ...]:
         """SND-V's: as `convolutions` with fewer channels, and the last as many as the third."""
@@ -43,15 +47,24 @@ class Architecture(NamedTuple):
         return narrow.convolutions(self.snd_v_channels[-1])
 
     def rnd_convolutions(self) -> tuple[Convolution, ...]:
-        """The convolutions of Random Network Distillation."""
-        if not self.channels:
-            return ()
+        """The convolutions of Random Network Distillation; in patches, those of the others."""
+        if self.patch or not self.channels:
+            return self.convolutions(self.last)
         first, second, third = self.rnd_channels
         return (Convolution(first, 8, 4, 2), Convolution(second, stride=2), Convolution(third))
 
 
 ATARI = Architecture()
 PROCGEN = Architecture(last=64)
+# Ours, for two cores: 64x64 pixels become 16x16, 8x8 and 4x4 maps of a few channels.
+SMALL = Architecture(
+    channels=(16, 32, 32),
+    last=32,
+    last_learned=32,
+    snd_v_channels=(16, 32, 32),
+    features=128,
+    patch=4,
+)
 VECTOR = Architecture(channels=(), features=64)
 
 

@@ -8,6 +8,7 @@ from sndjax.convolution import ACTIVATIONS, Convolution, convolve, convolve_nati
 LAYERS = {
     "stride 2": (Convolution(4, stride=2),),
     "stride 1": (Convolution(4),),
+    "patches": (Convolution(4, 4, 4, 0), Convolution(5, stride=2)),
     "RND": (Convolution(4, 8, 4, 2), Convolution(5, stride=2), Convolution(6)),
     "SND": tuple(Convolution(c, stride=s) for c, s in ((4, 2), (5, 2), (6, 2), (70, 1))),
 }

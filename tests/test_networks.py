@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sndjax import ATARI, PROCGEN, VECTOR, ActorCritic, snd_std
+from sndjax import ATARI, PROCGEN, SMALL, VECTOR, ActorCritic, snd_std
 from sndjax.algorithms import NAMED
 from sndjax.grid import OBJECTIVES, networks
 
@@ -17,6 +17,7 @@ def count(tree):
 FRAMES = {
     "atari": ((96, 96, 1), ATARI, 18),
     "procgen": ((64, 64, 3), PROCGEN, 15),
+    "small": ((64, 64, 3), SMALL, 15),
     "vector": ((2,), VECTOR, 3),
 }
 # 9*1*32+32 + 9*32*64+64 + 9*64*64+64 + 9*64*128+128 + 12*12*128*512+512, and so on.
@@ -36,6 +37,8 @@ ENCODERS = [
     # 9*3*16+16 + 9*16*32+32 + 9*32*64+64 + 9*64*64+64 + 8*8*64*512+512
     ("snd_v", "procgen", 2_158_176, 2_683_488),
     ("rnd", "procgen", 2_159_264, 2_684_576),
+    # 16*3*16+16 + 9*16*32+32 + 9*32*32+32 + 9*32*32+32 + 4*4*32*128+128, and 2*(128*128+128)
+    *((name, "small", 89_584, 122_608) for name in ("snd_std", "snd_vic", "snd_v", "rnd")),
     ("snd_std", "vector", 8_512, 8_512),
     ("snd_vic", "vector", 8_512, 8_512),
     ("snd_v", "vector", 8_512, 8_512),
@@ -68,7 +71,7 @@ def test_encoders_have_the_parameters_of_the_table(name, kind, target, learned):
     assert count(params["encoder"] if "encoder" in params else state["encoder"]) == target
     assert count(params["signal"]) == learned
     if name == "snd_std":
-        width, local = (64, 64) if kind == "vector" else (512, 64)
+        width, local = {"vector": (64, 64), "small": (128, 32)}.get(kind, (512, 64))
         assert count(params["objective"]) == width * local + local + local * local + local
     if name == "snd_byol":
         # d -> d -> d/2 and d/2 -> d -> d/2, twice with the slow copy.

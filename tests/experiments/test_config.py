@@ -105,6 +105,21 @@ def test_any_envpool_task_gets_the_settings_of_its_family():
     assert (pole.env.stack, pole.env.reward, pole.env.options) == (1, "raw", {})
 
 
+def test_a_preset_sets_the_same_for_every_algorithm_and_options_stand_over_it():
+    names = set(validate.choices("algo")) - {"ppo", "module", "grid"}
+    load = lambda algo, *more: config.load(["env=Jumper", f"algo={algo}", "preset=laptop", *more])
+    made = [load(name) for name in names]
+    first = made[0]
+    assert (first.network, first.num_envs, first.algo.reward_scale) == ("small", 32, "running_std")
+    for other in made:
+        assert (other.ppo, other.network, other.num_envs) == (first.ppo, "small", 32)
+        assert (other.algo.eta, other.algo.reward_scale) == (first.algo.eta, "running_std")
+    baseline = load("ppo")
+    assert (baseline.algo.eta, baseline.network, baseline.ppo.epochs) == (0, "small", 4)
+    assert load("snd_vic", "num_envs=8", "algo.eta=3").num_envs == 8
+    assert load("snd_vic", "algo.eta=3").algo.eta == 3
+
+
 REFUSED = [
     ([], "say env=NAME, one of: Caveflyer"),
     (["env=Venture"], "say algo=NAME, one of: grid, icm"),
@@ -150,6 +165,9 @@ REFUSED = [
     (["env=Venture", "algo.module=x.py"], "write FILE.py:FUNCTION"),
     (["env=Venture", "algo.module=/no/x.py:f"], "there is no file /no/x.py"),
     (["env=gymnasium", "algo=rnd"], "env=gymnasium needs a task"),
+    (["env=MiniGrid", "algo=rnd"], "env.id=MiniGrid-DoorKey-8x8-v0, say"),
+    (["env=Jumper", "algo=rnd", "preset=labtop"], "did you mean laptop"),
+    ([*VENTURE, "network=tiny"], "network"),
     ([*VENTURE, "env.id=Pong-v5"], "env=Venture has its own"),
     ([*VENTURE, "env.suite=gymnasium"], "env=Venture has its own"),
     (["env=Venture", "algo=ppo", "algo.shuffle=true"], "algo.shuffle: algo=ppo has no intrinsic"),
@@ -190,7 +208,7 @@ def test_no_input_makes_a_traceback(pairs):
 
 def test_help_names_every_environment_algorithm_and_option():
     text = config.help_text()
-    names = [*validate.choices("env"), *validate.choices("algo")]
+    names = [name for group in validate.CHOSEN for name in validate.choices(group)]
     names += [name for name, _ in validate.options()]
     for name in names:
         assert f"  {name}" in text

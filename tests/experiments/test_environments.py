@@ -254,3 +254,65 @@ def test_gymnasium_tasks_are_refused_by_name():
         make_pool(config("gymnasium", "env.id=CartPole-v1", "env.options.wrong=1"), [0], 2)
     with pytest.raises(ConfigError, match="gymnasium cannot make no_such_package:X-v0"):
         make_pool(config("gymnasium", "env.id=no_such_package:X-v0"), [0], 2)
+
+
+FARAMA = "minigrid:MiniGrid-MultiRoom-N2-S4-v0"
+
+
+def minigrid(*more):
+    return load(["env=MiniGrid", "algo=rnd", *more]).env
+
+
+def test_minigrids_view_is_its_own_one_hot_wrappers_and_the_direction():
+    from minigrid.wrappers import OneHotPartialObsWrapper
+
+    env = minigrid("env.suite=gymnasium", "env.id=minigrid:MiniGrid-KeyCorridorS3R3-v0")
+    pool = make_pool(env, [0], 3)
+    frame = pool.reset()[0]
+    theirs = [OneHotPartialObsWrapper(gym.make(env.id)) for _ in range(3)]
+    seeds = seeds_of(0, 3, 0)
+    looks = [one.reset(seed=seed)[0] for one, seed in zip(theirs, seeds, strict=True)]
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        for own, look in zip(frame, looks, strict=True):
+            cells, direction = own[:-4].reshape(7, 7, 21), own[-4:]
+            np.testing.assert_array_equal(cells[..., :20], look["image"])
+            assert not cells[..., 20].any()  # states of theirs are those of doors alone
+            assert direction[look["direction"]] == direction.sum() == 1
+        action = rng.integers(0, 7, 3)
+        frame = pool.step(action[None]).frame[0]
+        looks = [one.step(a)[0] for one, a in zip(theirs, action, strict=True)]
+
+
+def test_envpools_minigrid_is_read_in_the_same_form():
+    pool = make_pool(minigrid("env.id=MiniGrid-DoorKey-8x8-v0"), [0, 1], 4)
+    frames = pool.reset()
+    assert frames.shape == (2, 4, 7 * 7 * 21 + 4)
+    cells = frames[..., :-4].reshape(-1, 7, 7, 21)
+    for part in (cells[..., :11], cells[..., 11:17], cells[..., 17:], frames[..., -4:]):
+        np.testing.assert_array_equal(part.sum(-1), 1)
+    assert pool.num_actions == 7
+    assert pool.step(np.zeros((2, 4), int)).frame.shape == frames.shape
+
+
+def solved(envs, count, steps):
+    """How many of these never-ending levels a random walk gets through."""
+    rng = np.random.default_rng(0)
+    envs.reset(**({"seed": 1} if envs.__class__.__name__ == "SyncVectorEnv" else {}))
+    through = np.zeros(count, bool)
+    for _ in range(steps):
+        _, _, terminated, _, _ = envs.step(rng.choice([0, 1, 2, 2, 2, 5], count).astype(np.int32))
+        through |= terminated
+    return through.mean()
+
+
+def test_the_levels_that_are_refused_are_broken_and_those_named_instead_are_not():
+    task = FARAMA.removeprefix("minigrid:")
+    with pytest.raises(ConfigError, match=f"env.suite=gymnasium env.id={FARAMA}"):
+        minigrid(f"env.id={task}")
+    options = {"env_type": "gymnasium", "seed": 1, "max_episode_steps": 10**6}
+    theirs = envpool.make(task, num_envs=128, **options)
+    # A door at one of three places along a wall of four leads into a corner.
+    assert 0.55 < solved(theirs, 128, 2000) < 0.8
+    right = gym.make_vec(FARAMA, num_envs=16, vectorization_mode="sync", max_steps=10**6)
+    assert solved(right, 16, 1500) == 1

@@ -1,0 +1,166 @@
+"""python -m experiments.explores DIR --out docs/results/explores/NAME: the table of a sweep.
+
+Takes every run in these directories, or a NAME.json that it wrote before, and prints a Markdown
+table: of each seed the external return of its last 100 episodes, how many seeds reach the goal,
+the mean over all episodes, the seconds of training. Writes NAME.json, the runs' summaries, and
+NAME.png, a dot for every seed.
+"""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean, median
+from typing import Any, NamedTuple
+
+from experiments.arguments import command
+from experiments.directory import replace
+from experiments.options import ConfigError, option
+
+Summaries = dict[str, dict[str, Any]]  # a seed's part of summary.json, by the name of its run
+
+
+@dataclass(frozen=True)
+class Options:
+    """What can be chosen."""
+
+    out: str | None = option(None, "where NAME.json and NAME.png go, without their endings")
+    goal: float = option(0.9, "a seed reaches the goal with this return of its last 100 episodes")
+
+
+class Row(NamedTuple):
+    """One algorithm with one set of settings on one environment."""
+
+    env: str
+    name: str
+    seeds: dict[int, dict[str, Any]]
+
+    def last(self) -> list[float]:
+        """The return of each seed's last 100 episodes, in order of the seeds."""
+        return [self.seeds[seed]["last100_ext_return"] or 0.0 for seed in sorted(self.seeds)]
+
+
+def gathered(places: list[Path]) -> tuple[Summaries, list[str]]:
+    """The summaries of all finished runs, and the names of those that are not."""
+    found: Summaries = {}
+    unfinished = []
+    for place in places:
+        if place.suffix == ".json":
+            found |= json.loads(place.read_text())
+            continue
+        for config in sorted(place.rglob("config.yaml")):
+            run = config.parent
+            name = str(run.relative_to(place))
+            if not (run / "summary.json").is_file():
+                unfinished.append(name)
+                continue
+            for seed in json.loads((run / "summary.json").read_text())["seeds"]:
+                found[named(name, seed["seed"])] = seed
+    return found, unfinished
+
+
+def named(run: str, seed: int) -> str:
+    """A run's name with its seed where a sweep has it, also where the run has several.
+
+    >>> named("MountainCar/grid/0,algo.signal=ngu", 0)
+    'MountainCar/grid/0,algo.signal=ngu'
+    >>> named("MountainCar/ppo/20261122-173225-418c", 3)
+    'MountainCar/ppo/3'
+    """
+    env, algo, last = run.rsplit("/", 2) if run.count("/") > 1 else ("", *run.rsplit("/", 1))
+    _, comma, settings = last.partition(",")
+    return f"{env}/{algo}/{seed}{comma}{settings}"
+
+
+def rows(summaries: Summaries) -> list[Row]:
+    """Seeds of the same settings together, in order of their names."""
+    found: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
+    for name, summary in summaries.items():
+        env, algo, last = name.rsplit("/", 2)
+        settings = last.partition(",")[2].replace("algo.", "").replace(",", " ")
+        key = env, f"{algo} {settings}".strip()
+        found.setdefault(key, {})[summary["seed"]] = summary
+    return [Row(env, name, seeds) for (env, name), seeds in found.items()]
+
+
+def table(summaries: Summaries, goal: float) -> list[str]:
+    """The lines of the Markdown table.
+
+    >>> run = {"seed": 0, "last100_ext_return": 1.0, "mean_ext_return": 0.5, "wall_seconds": 9.4}
+    >>> print("\\n".join(table({"Car/rnd/0": run}, 0.9)))
+    | Car | seed 0 | at least 0.9 | mean of all episodes | median s |
+    |---|---|---|---|---|
+    | `rnd` | 1.00 | 1 of 1 | 0.50 | 9 |
+    """
+    lines: list[str] = []
+    shown = None
+    for row in rows(summaries):
+        seeds = sorted(row.seeds)
+        if (row.env, seeds) != shown:
+            shown = row.env, seeds
+            numbers = [f"seed {seeds[0]}", *map(str, seeds[1:])]
+            head = [row.env, *numbers, f"at least {goal:g}", "mean of all episodes", "median s"]
+            lines += [""] * bool(lines) + [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+        last, of = row.last(), list(row.seeds.values())
+        cells = [
+            f"`{row.name}`",
+            *(f"{value:.2f}" for value in last),
+            f"{sum(value >= goal for value in last)} of {len(last)}",
+            f"{mean(seed['mean_ext_return'] or 0.0 for seed in of):.2f}",
+            f"{median(seed['wall_seconds'] for seed in of):.0f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def draw(summaries: Summaries, goal: float, path: Path) -> None:
+    """A dot for every seed and a bar for their mean, a panel for every environment."""
+    from experiments.style import panels, save, style
+
+    found = rows(summaries)
+    envs = list(dict.fromkeys(row.env for row in found))
+    most = max(sum(row.env == env for row in found) for env in envs)
+    figure, ((*grid,),) = panels(1, len(envs), 1.5 + 4.2 * len(envs), 1.3 + 0.3 * most)
+    for axes, env in zip(grid, envs, strict=True):
+        own = [row for row in found if row.env == env][::-1]
+        for at, row in enumerate(own):
+            colour, last = style(row.name.split()[0])["color"], row.last()
+            axes.barh(at, mean(last), color=colour, alpha=0.25, height=0.7)
+            axes.plot(last, [at] * len(last), "o", color=colour, markersize=5, alpha=0.8)
+        axes.axvline(goal, color="#7F7F7F", linewidth=0.8, linestyle=":")
+        axes.set_yticks(range(len(own)), [row.name for row in own], fontsize=9)
+        axes.set_xlim(left=-0.02 * max(1.0, axes.get_xlim()[1]))
+        axes.set_xlabel("external return, last 100 episodes")
+        axes.set_title(env, fontsize=10)
+    save(figure, path.parent, path.name)
+    (path.parent / f"{path.name}.svg").unlink()
+
+
+def write(summaries: Summaries, path: Path) -> None:
+    """One run a line, so that a new one is one line of difference."""
+    lines = [f" {json.dumps(name)}: {json.dumps(run)}" for name, run in summaries.items()]
+    replace(path, "{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def work(places: list[Path], options: Options) -> None:
+    """Print the table, and write what was asked for."""
+    summaries, unfinished = gathered(places)
+    for name in unfinished:
+        print(f"not finished: {name}", file=sys.stderr)
+    if not summaries:
+        raise ConfigError(f"no finished run in {', '.join(map(str, places))}")
+    print("\n".join(table(summaries, options.goal)))
+    if options.out is not None:
+        path = Path(options.out)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(summaries, path.with_name(f"{path.name}.json"))
+        draw(summaries, options.goal, path)
+
+
+def main(arguments: list[str]) -> int:
+    """The command."""
+    return command(str(__doc__), Options, work, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
