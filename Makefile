@@ -3,13 +3,15 @@
 # make test-all  every cell of the grid on every kind of input too (an hour)
 # make test-survival  fifty kills, thousands of bad inputs, half an hour of load (an hour)
 # make bench  the benchmark of six algorithms against the committed figures (a quarter of an hour)
+# make gpu-evidence  the thesis' hard games on a GPU for MINUTES minutes (60); again, and it goes on
 # make check  formatter, linter and type checker
 # make .venv/.sweeps  launchers for clusters, and trackers, which the tests use too
 # make .venv  the environment alone; PYTHON=python3.12 picks another Python
 PYTHON ?= python3
+MINUTES ?= 60
 RUN := .venv/bin/python
 
-.PHONY: .venv demo test test-all test-survival bench check format
+.PHONY: .venv demo test test-all test-survival bench gpu-evidence check format
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
@@ -33,6 +35,9 @@ test-survival: .venv/.sweeps
 
 bench: .venv/.complete
 	@$(RUN) -m experiments.benches
+
+gpu-evidence: .venv/.complete
+	@$(RUN) -m experiments.evidence --minutes $(MINUTES)
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 
 from experiments.arguments import command
 from experiments.directory import replace
-from experiments.options import ConfigError, option
+from experiments.options import Config, ConfigError, option
+from experiments.stored import CONFIG, read
 
+CELL = ("algo.objective=", "algo.signal=")
 Summaries = dict[str, dict[str, Any]]  # a seed's part of summary.json, by the name of its run
 
 
@@ -48,28 +50,26 @@ def gathered(places: list[Path]) -> tuple[Summaries, list[str]]:
         if place.suffix == ".json":
             found |= json.loads(place.read_text())
             continue
-        for config in sorted(place.rglob("config.yaml")):
-            run = config.parent
-            name = str(run.relative_to(place))
-            if not (run / "summary.json").is_file():
-                unfinished.append(name)
-                continue
-            for seed in json.loads((run / "summary.json").read_text())["seeds"]:
-                found[named(name, seed["seed"])] = seed
+        for path in sorted(place.rglob(CONFIG)):
+            config, summary = read(path).config, path.parent / "summary.json"
+            seeds = json.loads(summary.read_text())["seeds"] if summary.is_file() else []
+            for seed in seeds:
+                if seed["steps"] >= config.iterations * config.rows:
+                    found[named(config, path.parent.name, seed["seed"])] = seed
+            if not seeds or seeds[0]["steps"] < config.total_steps:
+                unfinished.append(str(path.parent))
     return found, unfinished
 
 
-def named(run: str, seed: int) -> str:
-    """A run's name with its seed where a sweep has it, also where the run has several.
+def named(config: Config, directory: str, seed: int) -> str:
+    """<env>/<algo>/<seed>, and after it what else a sweep gave several values.
 
-    >>> named("MountainCar/grid/0,algo.signal=ngu", 0)
-    'MountainCar/grid/0,algo.signal=ngu'
-    >>> named("MountainCar/ppo/20261122-173225-418c", 3)
-    'MountainCar/ppo/3'
+    A cell of the grid is called by its objective and its signal, "vicreg+noveld".
     """
-    env, algo, last = run.rsplit("/", 2) if run.count("/") > 1 else ("", *run.rsplit("/", 1))
-    _, comma, settings = last.partition(",")
-    return f"{env}/{algo}/{seed}{comma}{settings}"
+    algo = config.algo
+    name = algo.name if algo.name != "grid" else f"{algo.objective}+{algo.signal}"
+    swept = [s for s in directory.split(",")[1:] if not s.startswith(CELL)]
+    return "/".join([config.env.name.split(":")[-1], name, ",".join([str(seed), *swept])])
 
 
 def rows(summaries: Summaries) -> list[Row]:

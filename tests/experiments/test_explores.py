@@ -1,11 +1,99 @@
-"""One seed of the table in docs/results/explores.md, trained anew."""
+"""The tables of docs/results/explores.md: made again from their raw figures, one seed trained anew."""
 
 import json
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import pytest
+from handmade import made
+
+from experiments.explores import draw, gathered, main, rows, table
+
 ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "docs" / "results"
+RAW = sorted((RESULTS / "explores").glob("*.json"))
+
+
+@pytest.mark.parametrize("raw", RAW, ids=lambda path: path.stem)
+def test_the_page_holds_the_tables_that_the_raw_figures_make(raw):
+    page = (RESULTS / "explores.md").read_text().splitlines()
+    made_again = table(json.loads(raw.read_text()), 0.9)
+    assert len(made_again) > 2
+    for line in made_again:
+        assert line in page
+    assert (ROOT / "docs" / "images" / "explores" / f"{raw.stem}.png").is_file()
+    assert f"explores/{raw.name}" in "\n".join(page)
+
+
+def summed(path, arguments, returns, steps=1_003_520):
+    """A run directory with a summary, the return of each seed's last episodes given."""
+    made(path, arguments, {seed: [(64, value, value)] for seed, value in returns.items()})
+    seeds = [
+        {"seed": seed, "steps": steps, "mean_ext_return": value / 2, "last100_ext_return": value}
+        | {"wall_seconds": 10.0 + seed}
+        for seed, value in returns.items()
+    ]
+    (path / "summary.json").write_text(json.dumps({"seeds": seeds}))
+
+
+GRID = ["env=MountainCar", "algo=grid", "algo.objective=vicreg", "algo.signal=ngu"]
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    place = tmp_path / "sweep" / "MountainCar"
+    summed(place / "ppo" / "0", ["env=MountainCar", "algo=ppo"], {0: 0.0})
+    summed(place / "ppo" / "1", ["env=MountainCar", "algo=ppo", "seed=1"], {1: 0.0})
+    summed(place / "grid" / "0,algo.signal=ngu,algo.eta=3", [*GRID, "algo.eta=3"], {0: 1.0})
+    two = ["env=MountainCar", "algo=rnd", "num_seeds=2"]
+    summed(place / "rnd" / "20261122-173225-418c", two, {0: 0.95, 1: 0.5})
+    summed(place / "icm" / "0", ["env=MountainCar", "algo=icm"], {0: 1.0}, steps=4096)
+    return tmp_path / "sweep"
+
+
+def test_a_sweep_becomes_a_table_and_what_is_not_finished_is_named(sweep, tmp_path, capsys):
+    assert main([str(sweep), "--out", str(tmp_path / "made")]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [
+        "| MountainCar | seed 0 | at least 0.9 | mean of all episodes | median s |",
+        "|---|---|---|---|---|",
+        "| `vicreg+ngu eta=3` | 1.00 | 1 of 1 | 0.50 | 10 |",
+        "",
+        "| MountainCar | seed 0 | 1 | at least 0.9 | mean of all episodes | median s |",
+        "|---|---|---|---|---|---|",
+        "| `ppo` | 0.00 | 0.00 | 0 of 2 | 0.00 | 10 |",
+        "| `rnd` | 0.95 | 0.50 | 1 of 2 | 0.36 | 10 |",
+    ]
+    (line,) = printed.err.splitlines()
+    assert line.startswith("not finished: ")
+    assert line.endswith("MountainCar/icm/0")
+    assert main([str(tmp_path / "made.json")]) == 0  # and again from what it wrote
+    assert capsys.readouterr().out == printed.out
+
+
+def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, monkeypatch):
+    import experiments.style
+
+    figures = []
+    save = experiments.style.save
+    keep = lambda figure, *rest: figures.append(figure) or save(figure, *rest)
+    monkeypatch.setattr(experiments.style, "save", keep)
+    summaries, _ = gathered([sweep])
+    draw(summaries, 0.9, tmp_path / "picture")
+    (axes,) = figures[0].axes
+    dots = [list(line.get_xdata()) for line in axes.lines if line.get_marker() == "o"]
+    assert dots == [row.last() for row in rows(summaries)][::-1]
+    assert [tick.get_text() for tick in axes.get_yticklabels()][::-1] == [
+        row.name for row in rows(summaries)
+    ]
+    assert cv2.imread(str(tmp_path / "picture.png")).std() > 0
+
+
+def test_nothing_to_show_is_said(tmp_path, capsys):
+    assert main([str(tmp_path)]) == 2
+    assert "no finished run in" in capsys.readouterr().err
 
 
 def test_snd_vic_reaches_the_goal_of_mountain_car_as_in_the_table(tmp_path):
