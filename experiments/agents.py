@@ -52,7 +52,10 @@ def build(config: Config, pool: Pool) -> sndjax.Agent:
     """The agent of a configuration for the frames and actions of a pool."""
     if pool.dtype != np.uint8:
         if config.network != "thesis":
-            raise ConfigError(f"network={config.network} is for pixels; {config.env.id} has none")
+            raise ConfigError(
+                f"network={config.network} (which preset=laptop says too) is for pixels; "
+                f"{config.env.id} has none"
+            )
         size = sndjax.VECTOR
     elif config.network == "small":
         size = sndjax.SMALL

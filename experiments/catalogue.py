@@ -49,8 +49,8 @@ def family_of(task: str) -> str:
         raise unknown("envpool task", task, known)
     if task.startswith("MiniGrid-MultiRoom"):
         raise ConfigError(
-            f"env.id={task}: envpool puts up to a third of its doors into corners, and most of "
-            f"its levels cannot be solved; take env.suite=gymnasium env.id=minigrid:{task}"
+            f"env.id={task}: envpool puts up to a third of these doors into corners, and levels "
+            f"cannot be solved; take minigrid's own, env=MiniGrid env.id=minigrid:{task}"
         )
     try:
         space = envpool.make_spec(task).action_space

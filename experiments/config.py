@@ -87,11 +87,18 @@ def composed(overrides: dict[str, Override]) -> Config:
     for key in ("env.id", "env.suite"):
         if key in overrides and env not in BY_ID:
             raise ConfigError(f"{key}: env={env} has its own; take env=envpool or env=gymnasium")
-    suite = overrides["env.suite"].value() if "env.suite" in overrides else env
-    if "env.id" in overrides and suite != "gymnasium":
+    task = str(overrides["env.id"].value()) if "env.id" in overrides else ""
+    of_module = env == "MiniGrid" and ":" in task  # minigrid's own, which gymnasium makes
+    if env == "MiniGrid" and not task.rpartition(":")[2].startswith("MiniGrid-"):
+        raise ConfigError(
+            f"env.id={task}: env=MiniGrid is for MiniGrid-... and minigrid:MiniGrid-..."
+        )
+    if of_module and "env.suite" not in overrides:
+        lines.append("env.suite=gymnasium")
+    if task and env != "gymnasium" and not of_module:
         from experiments.catalogue import family_of  # imports envpool
 
-        family = family_of(str(overrides["env.id"].value()))
+        family = family_of(task)
         if env == "envpool":
             lines.append(f"family@env={family}")
     if "algo.module" in overrides:

@@ -109,16 +109,28 @@ class Cells:
     unbounded: tuple[bool, ...] = ()
     kinds = (11, 6, 4)  # objects, colours, and states: a door's, or a direction
 
+    @staticmethod
+    def are(space: Any, task: str) -> bool:
+        """Whether this is such a view; BabyAI's is too, but says in its mission what to do."""
+        if not isinstance(space, gym.spaces.Dict) or "BabyAI" in task:
+            return False
+        image, direction = space.spaces.get("image"), space.spaces.get("direction")
+        small = (
+            isinstance(image, gym.spaces.Box) and image.shape[2:] == (3,) and image.shape[0] < 32
+        )
+        return small and isinstance(direction, gym.spaces.Discrete) and "mission" in space.spaces
+
     def __init__(self, space: Any):
         height, width, _ = space["image"].shape
-        self.shape = (height * width * sum(self.kinds) + int(space["direction"].n),)
+        self.directions = int(space["direction"].n)
+        self.shape = (height * width * sum(self.kinds) + self.directions,)
         self.dtype = np.float32
 
     def read(self, observation: Any) -> np.ndarray:
         image, direction = observation["image"], np.ravel(observation["direction"])
         planes = [np.eye(n, dtype=np.float32)[image[..., k]] for k, n in enumerate(self.kinds)]
         view = np.concatenate(planes, axis=-1).reshape(len(image), -1)
-        return np.concatenate([view, np.eye(4, dtype=np.float32)[direction]], axis=1)
+        return np.concatenate([view, np.eye(self.directions, dtype=np.float32)[direction]], axis=1)
 
 
 class Pool:
@@ -150,7 +162,7 @@ class Pool:
             and len(space.shape) == 3
             and sorted(space.shape)[1] >= 32
         )
-        kind = Images if image else Cells if "MiniGrid-" in config.id else Vectors
+        kind = Images if image else Cells if Cells.are(space, config.id) else Vectors
         self.reader = kind(space)
         self.shape, self.dtype = self.reader.shape, self.reader.dtype
         self.unbounded = self.reader.unbounded

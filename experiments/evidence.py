@@ -1,10 +1,11 @@
-"""python -m experiments.evidence --minutes 240: the thesis' hard games, for as long as there is time.
+"""python -m experiments.evidence --minutes 240: the thesis' hard games, while there is time.
 
 Trains SND-VIC, SND-STD, RND and PPO on Montezuma's Revenge and Venture at the thesis' settings in
 turn, each for its share of the minutes, and stops it at a checkpoint. Called again it goes on
 where the runs stand. Leaves a run directory for each, and a page of them all.
 """
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -36,24 +37,27 @@ def backend() -> str:
     return done.stdout.strip()
 
 
-def train(env: str, algo: str, place: Path, seconds: float) -> None:
-    """Train for so many seconds, from where the run stands.
+def train(env: str, algo: str, place: Path, seconds: float) -> int:
+    """Train for so many seconds, from where the run stands; 0, or the status it ended with.
 
-    Raises:
-      ConfigError: the run ended in another way than by our signal, or by being whole.
+    The run gets a SIGTERM, also where this process is stopped, and writes its checkpoint.
     """
-    arguments = [f"env={env}", f"algo={algo}", f"run_dir={place}", "resume=auto"]
-    process = subprocess.Popen([sys.executable, "-m", "experiments.run", *arguments])
+    command = [sys.executable, "-m", "experiments.run", f"env={env}", f"algo={algo}"]
+    command += [f"run_dir={place}", "resume=auto"]
+    if shutil.which("setpriv"):
+        command = ["setpriv", "--pdeathsig", "TERM", *command]
+    process = subprocess.Popen(command, start_new_session=True)  # Ctrl-C is for us
     try:
         with suppress(subprocess.TimeoutExpired):
             process.wait(seconds)
-        process.terminate()
-        status = process.wait(PATIENCE)
     finally:
-        process.kill()
-        process.wait()
-    if status not in (0, 128 + signal.SIGTERM):
-        raise ConfigError(f"{place} ended with status {status}")
+        process.terminate()
+        try:
+            status = process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            status = process.wait()
+    return 0 if status == 128 + signal.SIGTERM else status
 
 
 def work(places: list[Path], options: Options) -> None:
@@ -61,17 +65,27 @@ def work(places: list[Path], options: Options) -> None:
     if places:
         raise ConfigError(f"unexpected {places[0]}; the runs go to --out")
     if not options.cpu and backend() != "gpu":
-        raise ConfigError("jax sees no GPU here: not run; --cpu to run it all the same")
+        raise ConfigError(
+            "jax sees no GPU here: not run (.venv/bin/pip install 'jax[cuda12]' if there is one; "
+            "--cpu to run it all the same)"
+        )
     cells = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]
     out, share = Path(options.out), 60 * options.minutes / len(cells)
+    failed = []
     for env, algo in cells:
         print(f"{env} {algo}: {share / 60:.1f} minutes", flush=True)
-        train(env, algo, out / env / algo, share)
+        status = train(env, algo, out / env / algo, share)
+        if status:
+            failed.append(f"{env} {algo} (status {status})")
     from experiments.report import write
 
     page = out / "report"
     page.mkdir(exist_ok=True)
     write([out], page, live=False)
+    if failed:
+        raise ConfigError(
+            f"ended by themselves: {', '.join(failed)}; the others go on when called again"
+        )
 
 
 def main(arguments: list[str]) -> int:

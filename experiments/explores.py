@@ -9,6 +9,7 @@ NAME.png, a dot for every seed.
 import json
 import sys
 from dataclasses import dataclass
+from math import isfinite, nan
 from pathlib import Path
 from statistics import mean, median
 from typing import Any, NamedTuple
@@ -38,8 +39,21 @@ class Row(NamedTuple):
     seeds: dict[int, dict[str, Any]]
 
     def last(self) -> list[float]:
-        """The return of each seed's last 100 episodes, in order of the seeds."""
-        return [self.seeds[seed]["last100_ext_return"] or 0.0 for seed in sorted(self.seeds)]
+        """In order of the seeds, the return of the last 100 episodes; NaN where none ended."""
+        found = [self.seeds[seed]["last100_ext_return"] for seed in sorted(self.seeds)]
+        return [nan if value is None else value for value in found]
+
+
+def read_summaries(path: Path) -> Any:
+    """What a file of JSON holds.
+
+    Raises:
+      ConfigError: it holds none.
+    """
+    try:
+        return json.loads(path.read_text())
+    except ValueError:
+        raise ConfigError(f"{path} holds no JSON") from None
 
 
 def gathered(places: list[Path]) -> tuple[Summaries, list[str]]:
@@ -48,14 +62,17 @@ def gathered(places: list[Path]) -> tuple[Summaries, list[str]]:
     unfinished = []
     for place in places:
         if place.suffix == ".json":
-            found |= json.loads(place.read_text())
+            found |= read_summaries(place)
             continue
         for path in sorted(place.rglob(CONFIG)):
             config, summary = read(path).config, path.parent / "summary.json"
-            seeds = json.loads(summary.read_text())["seeds"] if summary.is_file() else []
+            seeds = read_summaries(summary)["seeds"] if summary.is_file() else []
             for seed in seeds:
                 if seed["steps"] >= config.iterations * config.rows:
-                    found[named(config, path.parent.name, seed["seed"])] = seed
+                    name = named(config, path.parent.name, seed["seed"])
+                    if name in found:
+                        raise ConfigError(f"{path.parent} is a second run called {name}")
+                    found[name] = seed
             if not seeds or seeds[0]["steps"] < config.total_steps:
                 unfinished.append(str(path.parent))
     return found, unfinished
@@ -69,7 +86,7 @@ def named(config: Config, directory: str, seed: int) -> str:
     algo = config.algo
     name = algo.name if algo.name != "grid" else f"{algo.objective}+{algo.signal}"
     swept = [s for s in directory.split(",")[1:] if not s.startswith(CELL)]
-    return "/".join([config.env.name.split(":")[-1], name, ",".join([str(seed), *swept])])
+    return "/".join([config.env.name, name, ",".join([str(seed), *swept])])
 
 
 def rows(summaries: Summaries) -> list[Row]:
@@ -104,7 +121,7 @@ def table(summaries: Summaries, goal: float) -> list[str]:
         last, of = row.last(), list(row.seeds.values())
         cells = [
             f"`{row.name}`",
-            *(f"{value:.2f}" for value in last),
+            *(f"{value:.2f}".replace("nan", "-") for value in last),
             f"{sum(value >= goal for value in last)} of {len(last)}",
             f"{mean(seed['mean_ext_return'] or 0.0 for seed in of):.2f}",
             f"{median(seed['wall_seconds'] for seed in of):.0f}",
@@ -125,7 +142,8 @@ def draw(summaries: Summaries, goal: float, path: Path) -> None:
         own = [row for row in found if row.env == env][::-1]
         for at, row in enumerate(own):
             colour, last = style(row.name.split()[0])["color"], row.last()
-            axes.barh(at, mean(last), color=colour, alpha=0.25, height=0.7)
+            there = [value for value in last if isfinite(value)]
+            axes.barh(at, mean(there or [0.0]), color=colour, alpha=0.25, height=0.7)
             axes.plot(last, [at] * len(last), "o", color=colour, markersize=5, alpha=0.8)
         axes.axvline(goal, color="#7F7F7F", linewidth=0.8, linestyle=":")
         axes.set_yticks(range(len(own)), [row.name for row in own], fontsize=9)

@@ -34,7 +34,7 @@ def option(default: Any, about: str, *, low=None, high=None, above=None, choices
 @dataclass(frozen=True)
 class EnvConfig:
     name: str = option(MISSING, "what results are filed under")
-    id: str = option(MISSING, "the task, e.g. Pong-v5 (with env=envpool or env=gymnasium)")
+    id: str = option(MISSING, "the task (with env=envpool, env=gymnasium or env=MiniGrid)")
     suite: str = option("envpool", "who makes the task", choices=("envpool", "gymnasium"))
     stack: int = option(1, "newest frames that the policy sees", low=1, high=16)
     repeat_first: bool = option(

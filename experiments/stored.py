@@ -108,10 +108,15 @@ def settings(config: Config) -> dict[str, Any]:
 
 
 def check_settings(config: Config, stored: dict[str, Any]) -> None:
-    """Raise ValueError, naming the first that is different, unless the settings are the stored."""
+    """Raise ValueError, naming the first that is different, unless the settings are the stored.
+
+    What is younger than the checkpoint was what it is by default.
+    """
+    defaults = {name: entry.default for name, entry in options()}
     for name, now in settings(config).items():
-        if stored.get(name) != now:
-            raise ValueError(f"{name} was {stored.get(name)}, is {now}")
+        was = stored.get(name, defaults.get(name))
+        if was != now:
+            raise ValueError(f"{name} was {was}, is {now}")
 
 
 def check_code(stored: Config, overrides: dict[str, Override], what: str) -> None:

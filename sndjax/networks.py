@@ -30,7 +30,7 @@ class Architecture(NamedTuple):
     snd_v_channels: tuple[int, ...] = (16, 32, 64)
     features: int = 512  # d, and the width of every linear layer
     hidden: tuple[int, ...] = (64, 64)
-    patch: int = 0  # side of the patches, apart from each other, that the first layer reads
+    patch: int = 0  # kernel side and stride of the first layer; 0: the thesis' 3x3, stride 2
 
     def convolutions(self, last: int) -> tuple[Convolution, ...]:
         """The convolutions of the thesis: three of stride 2, then one of stride 1."""

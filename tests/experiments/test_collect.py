@@ -12,6 +12,7 @@ from experiments.agents import build, first_states, over_seeds
 from experiments.collect import Collector
 from experiments.config import load
 from experiments.environments import make_pool, make_pools
+from experiments.options import ConfigError
 from sndjax.rollout import stacker
 
 
@@ -65,3 +66,20 @@ def test_a_rollout_holds_what_the_environments_returned_and_the_policy_said(grou
             np.testing.assert_allclose(
                 np.asarray(value)[valid], own.value[:-1].reshape(64, 2)[valid], atol=1e-5
             )
+
+
+@pytest.mark.parametrize(("network", "size"), [("thesis", sndjax.PROCGEN), ("small", sndjax.SMALL)])
+def test_the_network_of_pixels_can_be_chosen(network, size):
+    config = load(["env=Jumper", "algo=snd_vic", f"network={network}", "num_envs=2"])
+    pools = make_pools(config.env, config.seeds, config.num_envs)
+    agent = build(config, pools[0])
+    assert agent.network.architecture == size
+    state = jax.eval_shape(lambda: sndjax.init(agent, jax.random.key(0), pools[0].reset()[0]))
+    kernels = [x.shape for x in jax.tree.leaves(state.intrinsic) if len(x.shape) == 4]
+    assert kernels[0][-1] == size.channels[0]
+
+
+def test_vectors_have_no_network_to_choose():
+    config = load(["env=MountainCar", "algo=rnd", "network=small"])
+    with pytest.raises(ConfigError, match="is for pixels; MountainCar-v0 has none"):
+        build(config, make_pools(config.env, config.seeds, 2)[0])

@@ -165,6 +165,8 @@ REFUSED = [
     (["env=Venture", "algo.module=x.py"], "write FILE.py:FUNCTION"),
     (["env=Venture", "algo.module=/no/x.py:f"], "there is no file /no/x.py"),
     (["env=gymnasium", "algo=rnd"], "env=gymnasium needs a task"),
+    (["env=MiniGrid", "algo=rnd", "env.id=Pong-v5"], "env=MiniGrid is for MiniGrid-"),
+    (["env=MiniGrid", "algo=rnd", "env.id=MiniGrid-X"], "unknown envpool task 'MiniGrid-X'"),
     (["env=MiniGrid", "algo=rnd"], "env.id=MiniGrid-DoorKey-8x8-v0, say"),
     (["env=Jumper", "algo=rnd", "preset=labtop"], "did you mean laptop"),
     ([*VENTURE, "network=tiny"], "network"),

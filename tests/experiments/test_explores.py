@@ -1,4 +1,4 @@
-"""The tables of docs/results/explores.md: made again from their raw figures, one seed trained anew."""
+"""docs/results/explores.md: its tables made again from raw figures, one seed trained anew."""
 
 import json
 import subprocess
@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from handmade import made
 
@@ -23,15 +24,31 @@ def test_the_page_holds_the_tables_that_the_raw_figures_make(raw):
     assert len(made_again) > 2
     for line in made_again:
         assert line in page
-    assert (ROOT / "docs" / "images" / "explores" / f"{raw.stem}.png").is_file()
+    of_seeds = [line for line in page if line.startswith("| `") and " of 5 | " in line]
+    assert set(of_seeds) == {
+        line
+        for path in RAW
+        for line in table(json.loads(path.read_text()), 0.9)
+        if line.startswith("| `")
+    }
+    assert raw.with_suffix(".png").is_file()
     assert f"explores/{raw.name}" in "\n".join(page)
 
 
 def summed(path, arguments, returns, steps=1_003_520):
     """A run directory with a summary, the return of each seed's last episodes given."""
-    made(path, arguments, {seed: [(64, value, value)] for seed, value in returns.items()})
+    made(
+        path,
+        arguments,
+        {seed: [(64, value or 0.0, value or 0.0)] for seed, value in returns.items()},
+    )
     seeds = [
-        {"seed": seed, "steps": steps, "mean_ext_return": value / 2, "last100_ext_return": value}
+        {
+            "seed": seed,
+            "steps": steps,
+            "mean_ext_return": value and value / 2,
+            "last100_ext_return": value,
+        }
         | {"wall_seconds": 10.0 + seed}
         for seed, value in returns.items()
     ]
@@ -49,6 +66,7 @@ def sweep(tmp_path):
     summed(place / "grid" / "0,algo.signal=ngu,algo.eta=3", [*GRID, "algo.eta=3"], {0: 1.0})
     two = ["env=MountainCar", "algo=rnd", "num_seeds=2"]
     summed(place / "rnd" / "20261122-173225-418c", two, {0: 0.95, 1: 0.5})
+    summed(place / "sp" / "0", ["env=MountainCar", "algo=sp"], {0: None})
     summed(place / "icm" / "0", ["env=MountainCar", "algo=icm"], {0: 1.0}, steps=4096)
     return tmp_path / "sweep"
 
@@ -65,6 +83,10 @@ def test_a_sweep_becomes_a_table_and_what_is_not_finished_is_named(sweep, tmp_pa
         "|---|---|---|---|---|---|",
         "| `ppo` | 0.00 | 0.00 | 0 of 2 | 0.00 | 10 |",
         "| `rnd` | 0.95 | 0.50 | 1 of 2 | 0.36 | 10 |",
+        "",
+        "| MountainCar | seed 0 | at least 0.9 | mean of all episodes | median s |",
+        "|---|---|---|---|---|",
+        "| `sp` | - | 0 of 1 | 0.00 | 10 |",
     ]
     (line,) = printed.err.splitlines()
     assert line.startswith("not finished: ")
@@ -84,11 +106,20 @@ def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, mon
     draw(summaries, 0.9, tmp_path / "picture")
     (axes,) = figures[0].axes
     dots = [list(line.get_xdata()) for line in axes.lines if line.get_marker() == "o"]
-    assert dots == [row.last() for row in rows(summaries)][::-1]
+    assert len(dots) == len(rows(summaries))
+    for shown, row in zip(dots[::-1], rows(summaries), strict=True):
+        np.testing.assert_array_equal(shown, row.last())
     assert [tick.get_text() for tick in axes.get_yticklabels()][::-1] == [
         row.name for row in rows(summaries)
     ]
     assert cv2.imread(str(tmp_path / "picture.png")).std() > 0
+
+
+def test_two_runs_of_one_name_are_not_taken_for_one(sweep, capsys):
+    other = sweep / "again" / "0"
+    summed(other, ["env=MountainCar", "algo=ppo", "ppo.clip=0.2"], {0: 0.5})
+    assert main([str(sweep)]) == 2
+    assert "is a second run called MountainCar/ppo/0" in capsys.readouterr().err
 
 
 def test_nothing_to_show_is_said(tmp_path, capsys):

@@ -4,7 +4,7 @@ import pytest
 
 from experiments.config import load
 from experiments.options import ConfigError
-from experiments.stored import Stored, read, to_yaml
+from experiments.stored import Stored, check_settings, read, settings, to_yaml
 
 VENTURE = ["env=Venture", "algo=snd_std"]
 
@@ -45,9 +45,21 @@ def test_a_stored_configuration_reads_back_as_it_was(tmp_path):
     directory = {"run_dir": str(tmp_path), "resume": str(tmp_path)}
     assert dataclasses.replace(made, **directory) == again
     assert load([f"resume={tmp_path}", "env=Venture", "seed=3", "algo.eta=0.25"]) == again
+    with pytest.raises(ConfigError, match="leave preset out"):
+        load([f"resume={tmp_path}", "preset=laptop"])
     for other, words in (("seed=4", "seed=3, not 4"), ("env=Pitfall", "env=Venture, not Pitfall")):
         with pytest.raises(ConfigError, match=words):
             load([f"resume={tmp_path}", other])
+
+
+def test_an_option_younger_than_a_checkpoint_was_what_it_is_by_default():
+    config = load(["env=Venture", "algo=rnd"])
+    old = {name: value for name, value in settings(config).items() if name != "network"}
+    check_settings(config, old)
+    with pytest.raises(ValueError, match="network was thesis, is small"):
+        check_settings(load(["env=Venture", "algo=rnd", "network=small"]), old)
+    with pytest.raises(ValueError, match=r"ppo\.clip was 0\.1, is 0\.2"):
+        check_settings(load(["env=Venture", "algo=rnd", "ppo.clip=0.2"]), old)
 
 
 @pytest.mark.parametrize(
