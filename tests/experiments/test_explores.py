@@ -17,22 +17,27 @@ RESULTS = ROOT / "docs" / "results"
 RAW = sorted((RESULTS / "explores").glob("*.json"))
 
 
+GOALS = {"cartpole": 475.0}  # what counts as reaching it, where that is not a share of 0.9
+
+
+def lines(raw):
+    return table(json.loads(raw.read_text()), GOALS.get(raw.stem, 0.9))
+
+
 @pytest.mark.parametrize("raw", RAW, ids=lambda path: path.stem)
 def test_the_page_holds_the_tables_that_the_raw_figures_make(raw):
     page = (RESULTS / "explores.md").read_text().splitlines()
-    made_again = table(json.loads(raw.read_text()), 0.9)
-    assert len(made_again) > 2
-    for line in made_again:
-        assert line in page
-    of_seeds = [line for line in page if line.startswith("| `") and " of 5 | " in line]
-    assert set(of_seeds) == {
-        line
-        for path in RAW
-        for line in table(json.loads(path.read_text()), 0.9)
-        if line.startswith("| `")
-    }
+    assert len(lines(raw)) > 2
+    assert set(lines(raw)) <= set(page)
     assert raw.with_suffix(".png").is_file()
     assert f"explores/{raw.name}" in "\n".join(page)
+
+
+def test_every_line_of_five_seeds_has_raw_figures():
+    page = (RESULTS / "explores.md").read_text().splitlines()
+    shown = {line for line in page if line.startswith("| `") and " of 5 | " in line}
+    known = {line for raw in RAW for line in lines(raw) if line.startswith("| `")}
+    assert shown == known
 
 
 def summed(path, arguments, returns, steps=1_003_520):
