@@ -70,13 +70,14 @@ def test_a_rollout_holds_what_the_environments_returned_and_the_policy_said(grou
 
 @pytest.mark.parametrize(("network", "size"), [("thesis", sndjax.PROCGEN), ("small", sndjax.SMALL)])
 def test_the_network_of_pixels_can_be_chosen(network, size):
-    config = load(["env=Jumper", "algo=snd_vic", f"network={network}", "num_envs=2"])
+    config = load(["env=Jumper", "algo=snd_vic", f"network={network}", "num_envs=4"])
     pools = make_pools(config.env, config.seeds, config.num_envs)
     agent = build(config, pools[0])
     assert agent.network.architecture == size
-    state = jax.eval_shape(lambda: sndjax.init(agent, jax.random.key(0), pools[0].reset()[0]))
+    frames = jnp.asarray(pools[0].reset()[0])
+    state = jax.eval_shape(lambda: sndjax.init(agent, jax.random.key(0), frames))
     kernels = [x.shape for x in jax.tree.leaves(state.intrinsic) if len(x.shape) == 4]
-    assert kernels[0][-1] == size.channels[0]
+    assert kernels[0] == ((4, 4, 3, 16) if network == "small" else (3, 3, 3, 32))
 
 
 def test_vectors_have_no_network_to_choose():
