@@ -60,21 +60,25 @@ def gathered(places: list[Path]) -> tuple[Summaries, list[str]]:
     """The summaries of all finished runs, and the names of those that are not."""
     found: Summaries = {}
     unfinished = []
+
+    def take_in(of: Path, more: Summaries) -> None:
+        for name in more:
+            if name in found:
+                raise ConfigError(f"{of} is a second run called {name}")
+        found.update(more)
+
     for place in places:
         if place.suffix == ".json":
-            found |= read_summaries(place)
+            take_in(place, read_summaries(place))
             continue
         for path in sorted(place.rglob(CONFIG)):
-            config, summary = read(path).config, path.parent / "summary.json"
+            config, run = read(path).config, path.parent
+            summary = run / "summary.json"
             seeds = read_summaries(summary)["seeds"] if summary.is_file() else []
-            for seed in seeds:
-                if seed["steps"] >= config.iterations * config.rows:
-                    name = named(config, path.parent.name, seed["seed"])
-                    if name in found:
-                        raise ConfigError(f"{path.parent} is a second run called {name}")
-                    found[name] = seed
-            if not seeds or seeds[0]["steps"] < config.total_steps:
-                unfinished.append(str(path.parent))
+            if seeds and seeds[0]["steps"] >= config.total_steps:
+                take_in(run, {named(config, run.name, seed["seed"]): seed for seed in seeds})
+            else:
+                unfinished.append(str(run))
     return found, unfinished
 
 

@@ -125,6 +125,9 @@ def test_two_runs_of_one_name_are_not_taken_for_one(sweep, capsys):
     summed(other, ["env=MountainCar", "algo=ppo", "ppo.clip=0.2"], {0: 0.5})
     assert main([str(sweep)]) == 2
     assert "is a second run called MountainCar/ppo/0" in capsys.readouterr().err
+    table_of = str(RESULTS / "explores" / "mask.json")
+    assert main([table_of, table_of]) == 2
+    assert "is a second run called" in capsys.readouterr().err
 
 
 def test_nothing_to_show_is_said(tmp_path, capsys):
