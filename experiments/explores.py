@@ -154,8 +154,7 @@ def draw(summaries: Summaries, goal: float, path: Path) -> None:
         axes.set_xlim(left=-0.02 * max(1.0, axes.get_xlim()[1]))
         axes.set_xlabel("external return, last 100 episodes")
         axes.set_title(env, fontsize=10)
-    save(figure, path.parent, path.name)
-    (path.parent / f"{path.name}.svg").unlink()
+    save(figure, path.parent, path.name, vector=False)
 
 
 def write(summaries: Summaries, path: Path) -> None:

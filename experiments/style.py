@@ -86,10 +86,11 @@ def millions(axes: Any) -> None:
     axes.set_xlim(left=0)
 
 
-def save(figure: Figure, out: Path, name: str) -> Path:
-    """Write PNG and SVG; the path of the PNG."""
+def save(figure: Figure, out: Path, name: str, vector: bool = True) -> Path:
+    """Write PNG and, unless told otherwise, SVG; the path of the PNG."""
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / f"{name}.svg")
+    if vector:
+        figure.savefig(out / f"{name}.svg")
     figure.savefig(out / f"{name}.png", dpi=150)
     plt.close(figure)
     return out / f"{name}.png"

@@ -105,7 +105,7 @@ def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, mon
 
     figures = []
     save = experiments.style.save
-    keep = lambda figure, *rest: figures.append(figure) or save(figure, *rest)
+    keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
     monkeypatch.setattr(experiments.style, "save", keep)
     summaries, _ = gathered([sweep])
     draw(summaries, 0.9, tmp_path / "picture")
