@@ -110,10 +110,10 @@ def test_a_preset_sets_the_same_for_every_algorithm_and_options_stand_over_it():
     load = lambda algo, *more: config.load(["env=Jumper", f"algo={algo}", "preset=laptop", *more])
     made = [load(name) for name in names]
     first = made[0]
-    assert (first.network, first.num_envs, first.total_steps) == ("small", 32, 500_000)
+    assert (first.network, first.num_envs, first.total_steps) == ("small", 32, 400_000)
     for other in made:
         assert (other.ppo, other.network, other.num_envs) == (first.ppo, "small", 32)
-        assert (other.algo.minibatch_size, other.total_steps) == (256, 500_000)
+        assert (other.algo.minibatch_size, other.total_steps) == (256, 400_000)
     baseline = load("ppo")
     assert (baseline.algo.eta, baseline.network, baseline.ppo.minibatch_size) == (0, "small", 256)
     assert load("snd_vic", "num_envs=8", "algo.eta=3").num_envs == 8
