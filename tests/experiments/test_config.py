@@ -105,6 +105,15 @@ def test_any_envpool_task_gets_the_settings_of_its_family():
     assert (pole.env.stack, pole.env.reward, pole.env.options) == (1, "raw", {})
 
 
+def test_the_preset_and_the_level_of_the_committed_table():
+    made = config.load(["env=CoinrunEasy", "algo=snd_vic", "preset=laptop"])
+    assert made.env.options == {"num_levels": 1, "start_level": 9}
+    assert (made.env.stack, made.env.reward, made.env.random_action) == (1, "raw", 0.01)
+    assert (made.algo.eta, made.algo.reward_scale) == (10, "running_std")
+    assert (made.ppo.learning_rate, made.ppo.clip, made.ppo.episodic_int) == (5e-4, 0.2, False)
+    assert not made.ppo.normalize_advantages
+
+
 def test_a_preset_sets_the_same_for_every_algorithm_and_options_stand_over_it():
     names = set(validate.choices("algo")) - {"ppo", "module", "grid"}
     load = lambda algo, *more: config.load(["env=Jumper", f"algo={algo}", "preset=laptop", *more])

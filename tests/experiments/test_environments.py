@@ -52,6 +52,27 @@ def test_procgen_stacks_begin_with_zeros():
     np.testing.assert_array_equal(window[1], frame)
 
 
+def test_coinrun_easy_is_level_9_in_every_episode_and_for_every_seed():
+    pool = make_pool(config("CoinrunEasy"), [0, 1], 16)
+    first = pool.reset().copy()
+
+    def own(level):
+        made = envpool.make(
+            "CoinrunEasy-v0", env_type="gymnasium", num_envs=1, num_levels=1, start_level=level
+        )
+        return np.asarray(made.reset()[0])[0].transpose(1, 2, 0)
+
+    assert (first == own(9)).all()
+    assert not (own(0) == own(9)).all()
+    rng, again = np.random.default_rng(0), 0
+    for _ in range(600):
+        step = pool.step(rng.integers(0, 15, (2, 16)))
+        began = step.frame[~step.valid]
+        assert (began == first[0, 0]).all()
+        again += len(began)
+    assert again >= 16
+
+
 def test_reset_rows_follow_done_rows_and_carry_no_reward():
     pool = make_pool(config("MountainCar"), [0, 1], 5)
     pool.reset()
