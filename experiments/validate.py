@@ -49,8 +49,8 @@ def unknown(what: str, name: str, known: Iterable[str]) -> ConfigError:
         return ConfigError(
             f"unknown {what} '{name}'; did you mean {' or '.join(lower[k] for k in near)}?"
         )
-    shown = ", ".join(known) if len(known) < 30 else "see --help"
-    return ConfigError(f"unknown {what} '{name}'; there is {shown}")
+    shown = f"there is {', '.join(known)}" if len(known) < 30 else "see --help"
+    return ConfigError(f"unknown {what} '{name}'; {shown}")
 
 
 def value_of(config: Config, name: str) -> Any:
