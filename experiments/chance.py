@@ -2,29 +2,34 @@
 
 Plays total_steps with an agent that draws actions uniformly, and says how many episodes had a
 reward: where it is none, a bonus has something to do. keep=10 keeps an action for ten steps on
-average (1: draws a new one at every step). Takes the options of `experiments.run` that make
+average (1, the default: each is drawn). Takes the options of `experiments.run` that make
 environments, and seed.
 """
 
 import sys
-import time
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.arguments import read
 from experiments.config import load
 from experiments.environments import make_pool
-from experiments.options import Config, ConfigError
+from experiments.options import Config, ConfigError, option
+from experiments.progress import Bars
 from experiments.run import refuse
 
 
-def kept(rng: np.random.Generator, last: np.ndarray, actions: int, keep: Any) -> np.ndarray:
-    """The next actions, int64[N]: each the last one, or with probability 1 / keep a new draw.
+@dataclass(frozen=True)
+class Options:
+    """What can be chosen."""
 
-    `keep` is one number, or one for each.
-    """
+    keep: float = option(1.0, "steps that an action is kept, on average", low=1)
+
+
+def kept(rng: np.random.Generator, last: np.ndarray, actions: int, new: float) -> np.ndarray:
+    """The next actions, int64[N]: each the last one, or with probability `new` a new draw."""
     drawn = rng.integers(0, actions, last.shape)
-    return np.where(rng.random(last.shape) < 1 / keep, drawn, last)
+    return np.where(rng.random(last.shape) < new, drawn, last)
 
 
 def played(config: Config, keep: float) -> tuple[np.ndarray, np.ndarray, int | None]:
@@ -40,24 +45,22 @@ def played(config: Config, keep: float) -> tuple[np.ndarray, np.ndarray, int | N
     total, length = np.zeros(size), np.zeros(size, int)
     returns: list[float] = []
     lengths: list[int] = []
-    first, taken, said = None, 0, time.monotonic()
-    while taken < config.total_steps:
-        often = 1 / env.random_action if env.random_action else np.inf
-        executed = kept(rng, action, pool.num_actions, often)  # the environment's own
-        step = pool.step(executed[None])
-        taken += int(step.valid.sum())
-        total += step.reward[0]
-        length += step.valid[0]
-        if first is None and (step.reward > 0).any():
-            first = taken
-        over = step.done[0]
-        returns += total[over].tolist()
-        lengths += length[over].tolist()
-        total[over], length[over] = 0, 0
-        action = kept(rng, action, pool.num_actions, np.where(over, 1, keep))
-        if time.monotonic() - said > 5:
-            said = time.monotonic()
-            print(f"step {taken:,} of {config.total_steps:,}", file=sys.stderr, flush=True)
+    first, taken = None, 0
+    with Bars() as bars:
+        while taken < config.total_steps:
+            executed = kept(rng, action, pool.num_actions, env.random_action)
+            step = pool.step(executed[None])
+            taken += int(step.valid.sum())
+            total += step.reward[0]
+            length += step.valid[0]
+            if first is None and (step.reward > 0).any():
+                first = taken
+            over = step.done[0]
+            returns += total[over].tolist()
+            lengths += length[over].tolist()
+            total[over], length[over] = 0, 0
+            action = kept(rng, action, pool.num_actions, 1 / keep)
+            bars.to("steps", taken, config.total_steps)
     pool.close()
     return np.array(returns), np.array(lengths), first
 
@@ -68,14 +71,9 @@ def main(arguments: list[str]) -> int:
         print(str(__doc__).strip())
         return 0 if arguments else 2
     try:
-        given = [a.partition("=")[2] for a in arguments if a.startswith("keep=")]
-        try:
-            keep = float(given[-1]) if given else 1.0
-        except ValueError:
-            raise ConfigError(f"keep={given[-1]}: must be a number") from None
-        if not 1 <= keep < float("inf"):
-            raise ConfigError(f"keep={given[-1]}: must be at least 1")
-        config = load(["algo=ppo", *(a for a in arguments if not a.startswith("keep="))])
+        own = [argument for argument in arguments if argument.startswith("keep=")]
+        keep = read(own, Options)[1].keep
+        config = load(["algo=ppo", *(a for a in arguments if a not in own)])
         returns, lengths, first = played(config, keep)
     except ConfigError as error:
         return refuse(error)
