@@ -1,9 +1,9 @@
 """python -m experiments.explores DIR --out docs/results/explores/NAME: the table of a sweep.
 
 Takes every run in these directories, or a NAME.json that it wrote before, and prints a Markdown
-table: of each seed the external return of its last 100 episodes, how many seeds reach the goal,
-the mean over all episodes, the seconds of training. Writes NAME.json, the runs' summaries, and
-NAME.png, a dot for every seed.
+table: of each seed the external return of its last 100 episodes, their mean with its 95% bootstrap
+interval, how many seeds reach the goal, the mean over all episodes, the seconds of training.
+Writes NAME.json, the runs' summaries, and NAME.png, a dot for every seed.
 """
 
 import json
@@ -14,8 +14,11 @@ from pathlib import Path
 from statistics import mean, median
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from experiments.arguments import command
 from experiments.directory import replace
+from experiments.estimates import interval
 from experiments.options import Config, ConfigError, option
 from experiments.stored import CONFIG, read
 
@@ -42,6 +45,19 @@ class Row(NamedTuple):
         """In order of the seeds, the return of the last 100 episodes; NaN where none ended."""
         found = [self.seeds[seed]["last100_ext_return"] for seed in sorted(self.seeds)]
         return [nan if value is None else value for value in found]
+
+
+def estimate(values: list[float]) -> str:
+    """Their mean and the 95% bootstrap interval of it; of those that are there.
+
+    >>> estimate([1.0, 1.0, nan]), estimate([0.5]), estimate([nan])
+    ('1.00 [1.00, 1.00]', '0.50', '-')
+    """
+    there = np.array([value for value in values if isfinite(value)])
+    if not len(there):
+        return "-"
+    found = interval(there)
+    return f"{there.mean():.2f}" + (f" [{found[0]:.2f}, {found[1]:.2f}]" if found else "")
 
 
 def read_summaries(path: Path) -> Any:
@@ -109,9 +125,9 @@ def table(summaries: Summaries, goal: float) -> list[str]:
 
     >>> run = {"seed": 0, "last100_ext_return": 1.0, "mean_ext_return": 0.5, "wall_seconds": 9.4}
     >>> print("\\n".join(table({"Car/rnd/0": run}, 0.9)))
-    | Car | seed 0 | at least 0.9 | mean of all episodes | median s |
-    |---|---|---|---|---|
-    | `rnd` | 1.00 | 1 of 1 | 0.50 | 9 |
+    | Car | seed 0 | mean [95%] | at least 0.9 | mean of all episodes | median s |
+    |---|---|---|---|---|---|
+    | `rnd` | 1.00 | 1.00 | 1 of 1 | 0.50 | 9 |
     """
     lines: list[str] = []
     shown = None
@@ -120,12 +136,14 @@ def table(summaries: Summaries, goal: float) -> list[str]:
         if (row.env, seeds) != shown:
             shown = row.env, seeds
             numbers = [f"seed {seeds[0]}", *map(str, seeds[1:])]
-            head = [row.env, *numbers, f"at least {goal:g}", "mean of all episodes", "median s"]
+            head = [row.env, *numbers, "mean [95%]", f"at least {goal:g}"]
+            head += ["mean of all episodes", "median s"]
             lines += [""] * bool(lines) + [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
         last, of = row.last(), list(row.seeds.values())
         cells = [
             f"`{row.name}`",
             *(f"{value:.2f}".replace("nan", "-") for value in last),
+            estimate(last),
             f"{sum(value >= goal for value in last)} of {len(last)}",
             f"{mean(seed['mean_ext_return'] or 0.0 for seed in of):.2f}",
             f"{median(seed['wall_seconds'] for seed in of):.0f}",
@@ -135,7 +153,10 @@ def table(summaries: Summaries, goal: float) -> list[str]:
 
 
 def draw(summaries: Summaries, goal: float, path: Path) -> None:
-    """A dot for every seed and a bar for their mean, a panel for every environment."""
+    """A dot for every seed, a bar for their mean and a line for its 95% bootstrap interval.
+
+    Every environment has a panel of its own.
+    """
     from experiments.style import panels, save, style
 
     found = rows(summaries)
@@ -148,6 +169,8 @@ def draw(summaries: Summaries, goal: float, path: Path) -> None:
             colour, last = style(row.name.split()[0])["color"], row.last()
             there = [value for value in last if isfinite(value)]
             axes.barh(at, mean(there or [0.0]), color=colour, alpha=0.25, height=0.7)
+            if len(there) > 1:
+                axes.plot(interval(np.array(there)), [at, at], color="#4D4D4D", linewidth=1.2)
             axes.plot(last, [at] * len(last), "o", color=colour, markersize=5, alpha=0.8)
         axes.axvline(goal, color="#7F7F7F", linewidth=0.8, linestyle=":")
         axes.set_yticks(range(len(own)), [row.name for row in own], fontsize=9)

@@ -1,6 +1,7 @@
 """docs/results/explores.md: its tables made again from raw figures, one seed trained anew."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,9 +35,11 @@ def test_the_page_holds_the_tables_that_the_raw_figures_make(raw):
     assert f"explores/{raw.name}" in "\n".join(page)
 
 
-def test_every_line_of_five_seeds_has_raw_figures():
+def test_every_line_of_several_seeds_has_raw_figures():
     page = (RESULTS / "explores.md").read_text().splitlines()
-    shown = {line for line in page if line.startswith("| `") and " of 5 | " in line}
+    shown = {
+        line for line in page if line.startswith("| `") and re.search(r"\| \d of [2-9] \|", line)
+    }
     known = {line for raw in RAW for line in lines(raw) if line.startswith("| `")}
     assert shown == known
 
@@ -80,19 +83,20 @@ def sweep(tmp_path):
 def test_a_sweep_becomes_a_table_and_what_is_not_finished_is_named(sweep, tmp_path, capsys):
     assert main([str(sweep), "--out", str(tmp_path / "made")]) == 0
     printed = capsys.readouterr()
+    end = "mean [95%] | at least 0.9 | mean of all episodes | median s |"
     assert printed.out.splitlines() == [
-        "| MountainCar | seed 0 | at least 0.9 | mean of all episodes | median s |",
-        "|---|---|---|---|---|",
-        "| `vicreg+ngu eta=3` | 1.00 | 1 of 1 | 0.50 | 10 |",
-        "",
-        "| MountainCar | seed 0 | 1 | at least 0.9 | mean of all episodes | median s |",
+        f"| MountainCar | seed 0 | {end}",
         "|---|---|---|---|---|---|",
-        "| `ppo` | 0.00 | 0.00 | 0 of 2 | 0.00 | 10 |",
-        "| `rnd` | 0.95 | 0.50 | 1 of 2 | 0.36 | 10 |",
+        "| `vicreg+ngu eta=3` | 1.00 | 1.00 | 1 of 1 | 0.50 | 10 |",
         "",
-        "| MountainCar | seed 0 | at least 0.9 | mean of all episodes | median s |",
-        "|---|---|---|---|---|",
-        "| `sp` | - | 0 of 1 | 0.00 | 10 |",
+        f"| MountainCar | seed 0 | 1 | {end}",
+        "|---|---|---|---|---|---|---|",
+        "| `ppo` | 0.00 | 0.00 | 0.00 [0.00, 0.00] | 0 of 2 | 0.00 | 10 |",
+        "| `rnd` | 0.95 | 0.50 | 0.72 [0.50, 0.95] | 1 of 2 | 0.36 | 10 |",
+        "",
+        f"| MountainCar | seed 0 | {end}",
+        "|---|---|---|---|---|---|",
+        "| `sp` | - | - | 0 of 1 | 0.00 | 10 |",
     ]
     (line,) = printed.err.splitlines()
     assert line.startswith("not finished: ")
