@@ -1,9 +1,11 @@
 """python -m experiments.peers SCRIPT.py peer=cleanrl seed=0: other people's RND on our task.
 
 Runs a training script of theirs, read from a file, on MountainCar with reward only at the goal,
-as our pools make it. The training is theirs to the letter; what Atari asks for gives way: the
-environments, the two networks of pixels (here of vectors, of the same form, 64 wide), the size of
-a frame, and the logging. Leaves OUT/<peer>-<seed>-<settings>.json for `experiments.explores`.
+as our pools make it. Its training code runs unchanged; what stands in for Atari is ours: the
+environments, the networks (for vectors, 64 wide), the size of a frame, the log. Of its settings
+num_envs is 32, as ours, and CleanRL initialises its normalisation for one rollout, not for 50;
+settings= says others. Leaves OUT/<peer>-<seed>.json (with settings in its name, if there are any),
+for `experiments.explores`; episodes of the random warm-up that the scripts begin with are left out.
 
     peer=cleanrl      CleanRL's ppo_rnd_envpool.py (needs torch, tyro, gym)
     peer=rlexplore    RLeXplore's "3 rlexplore_with_cleanrl.py", its RND in place of its RE3
@@ -11,11 +13,16 @@ a frame, and the logging. Leaves OUT/<peer>-<seed>-<settings>.json for `experime
 """
 
 import ast
+import hashlib
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from experiments.arguments import command
@@ -27,7 +34,10 @@ from experiments.progress import Bars
 from experiments.stand_ins import Counted, Nowhere, for_cleanrl, for_rlexplore
 
 PEERS = {"cleanrl": "CleanRL's RND", "rlexplore": "RLeXplore's RND"}
+PACKAGES = ("torch", "gym", "gymnasium", "rllte-core")
+STEPS = 1_003_520
 PIXELS = 84  # the side of their frames
+OURS = ("seed", "total_timesteps", "cuda")  # settings that other options say
 
 
 @dataclass(frozen=True)
@@ -36,31 +46,19 @@ class Options:
 
     peer: str = option("cleanrl", "whose script it is", choices=tuple(PEERS))
     seed: int = option(0, "of the script and of the environments", low=0)
-    steps: int = option(1_003_520, "that the script is told to train for", low=1)
+    steps: int = option(STEPS, "that the script trains for, rounded down to rollouts", low=1)
     settings: str = option(
         "", "options of the script, with commas: learning_rate=5e-4,norm_adv=false; rnd.beta=0.1"
     )
     out: str = option("runs/peers", "where the run's figures go")
 
 
-class Adapted(ast.NodeTransformer):
-    """A script in which names of ours win over its own, and frames are 1 x `width`."""
+class Rows(ast.NodeTransformer):
+    """Frames of a script become 1 x `width`."""
 
-    def __init__(self, ours: dict[str, Any], width: int):
-        """What is defined or imported under a name in `ours` is left out."""
-        self.ours, self.width = ours, width
-
-    def definition(self, node: Any) -> Any:
-        return None if node.name in self.ours else self.generic_visit(node)
-
-    visit_ClassDef = visit_FunctionDef = definition
-
-    def imported(self, node: Any) -> Any:
-        bound = lambda alias: alias.asname or alias.name.partition(".")[0]
-        node.names = [alias for alias in node.names if bound(alias) not in self.ours]
-        return node if node.names else None
-
-    visit_Import = visit_ImportFrom = imported
+    def __init__(self, width: int):
+        """Two sides of a frame, one after the other, are how one is known."""
+        self.width = width
 
     def generic_visit(self, node: ast.AST) -> ast.AST:
         several = getattr(node, "args", None) or getattr(node, "elts", None)
@@ -69,11 +67,15 @@ class Adapted(ast.NodeTransformer):
             for k, both in enumerate(pairwise(side)):
                 if all(both):
                     several[k : k + 2] = [ast.Constant(1), ast.Constant(self.width)]
+                    break
         return super().generic_visit(node)
 
 
-def adapted(script: str, ours: dict[str, Any], width: int) -> Any:
-    """The code of a script, adapted.
+def adapted(script: str, ours: dict[str, Any], width: int) -> CodeType:
+    """The code of a script in which names of ours win over its definitions and imports.
+
+    Raises:
+      ConfigError: it does not have one of these names, so that it is another script.
 
     >>> code = adapted("def make(): return 1\\nx = make() + sum((84, 84))", {"make": int}, 2)
     >>> names = {"make": int}
@@ -81,17 +83,38 @@ def adapted(script: str, ours: dict[str, Any], width: int) -> Any:
     >>> names["x"]
     3
     """
-    tree = Adapted(ours, width).visit(ast.parse(script))
-    return compile(ast.fix_missing_locations(tree), "<peer>", "exec")
+    found: set[str] = set()
+
+    def ours_wins(name: str) -> bool:
+        if name in ours:
+            found.add(name)
+        return name in ours
+
+    def kept(statements: list[ast.stmt]) -> Iterator[ast.stmt]:
+        for node in statements:
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                bound = lambda alias: alias.asname or alias.name.partition(".")[0]
+                node.names = [alias for alias in node.names if not ours_wins(bound(alias))]
+                if not node.names:
+                    continue
+            elif isinstance(node, ast.ClassDef | ast.FunctionDef) and ours_wins(node.name):
+                continue
+            yield node
+
+    tree = ast.parse(script)
+    tree.body = list(kept(tree.body))
+    if lacking := sorted(set(ours) - found):
+        raise ConfigError(f"this is another script: it has no {', '.join(lacking)}")
+    return compile(ast.fix_missing_locations(Rows(width).visit(tree)), "<peer>", "exec")
 
 
-def settings_of(text: str) -> dict[str, Any]:
+def settings_of(text: str, peer: str) -> dict[str, Any]:
     """The settings that a text names.
 
     Raises:
-      ConfigError: one has no value.
+      ConfigError: one has no value, or is not the script's to take.
 
-    >>> settings_of("gamma=0.9,norm_adv=false,rnd.rwd_norm_type=rms")
+    >>> settings_of("gamma=0.9,norm_adv=false,rnd.rwd_norm_type=rms", "rlexplore")
     {'gamma': 0.9, 'norm_adv': False, 'rnd.rwd_norm_type': 'rms'}
     """
     found: dict[str, Any] = {}
@@ -99,6 +122,8 @@ def settings_of(text: str) -> dict[str, Any]:
         name, equals, value = item.partition("=")
         if not equals:
             raise ConfigError(f"settings={text}: write name=value, with commas between")
+        if name in OURS or (name.startswith("rnd.") and peer != "rlexplore"):
+            raise ConfigError(f"settings={text}: {name} is not a setting of peer={peer}")
         try:
             found[name] = ast.literal_eval(value.capitalize() if value.isalpha() else value)
         except (ValueError, SyntaxError):
@@ -115,10 +140,21 @@ def flags(settings: dict[str, Any]) -> list[str]:
     found = []
     for key, value in settings.items():
         name = key.replace("_", "-")
+        if name.startswith("rnd."):
+            continue
         if isinstance(value, bool):
             found.append(f"--{'' if value else 'no-'}{name}")
-        elif not name.startswith("rnd."):
+        else:
             found += [f"--{name}", str(value)]
+    return found
+
+
+def provenance(script: str) -> dict[str, Any]:
+    """What was run, to be known again."""
+    found: dict[str, Any] = {"script_sha256": hashlib.sha256(script.encode()).hexdigest()}
+    for package in PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
     return found
 
 
@@ -126,33 +162,38 @@ def work(places: list[Path], options: Options) -> None:
     """Run the script, and write its figures."""
     if len(places) != 1:
         raise ConfigError("give one script")
-    settings = settings_of(options.settings)
+    settings = settings_of(options.settings, options.peer)
     config = load(["env=MountainCar", "algo=rnd", f"seed={options.seed}"])
-    base = {"seed": options.seed, "num_envs": config.num_envs, "cuda": False}
-    base["total_timesteps"] = options.steps
+    settings = {"num_envs": config.num_envs} | settings
     if options.peer == "cleanrl":
-        base["num_iterations_obs_norm_init"] = 1  # 50 would be a fifth of the run
-    script = places[0].read_text()
-    with Bars() as bars:
-        pool = make_pool(config.env, [options.seed], config.num_envs)
-        envs = Counted(pool, bars, options.steps)
-        try:
-            make = {"cleanrl": for_cleanrl, "rlexplore": for_rlexplore}[options.peer]
-            ours = make(envs, settings) | {"SummaryWriter": Nowhere}
-        except ImportError as error:
-            raise ConfigError(f"peer={options.peer} needs what is not installed: {error}") from None
-        ours["print"] = lambda *args, **named: None
-        sys.argv = [places[0].name, *flags(base | settings)]
-        begun = time.monotonic()
-        code = adapted(script, ours, pool.shape[0])
-        exec(code, ours | {"__name__": "__main__", "__file__": str(places[0])})
-    summary = envs.summary(options.seed, time.monotonic() - begun)
+        settings = {"num_iterations_obs_norm_init": 1} | settings
     tail = f",{options.settings}" if options.settings else ""
+    tail += f",steps={options.steps}" if options.steps != STEPS else ""
+    script = places[0].read_text()
+    make = {"cleanrl": for_cleanrl, "rlexplore": for_rlexplore}[options.peer]
+    pool = make_pool(config.env, [options.seed], settings["num_envs"])
+    given, begun = sys.argv, time.monotonic()
+    told = {"seed": options.seed, "total_timesteps": options.steps, "cuda": False}
+    try:
+        with Bars() as bars:
+            envs = Counted(pool, bars, options.steps)
+            ours = make(envs, settings, options.seed) | {"SummaryWriter": Nowhere}
+            code = adapted(script, ours, pool.shape[0])
+            names = {"__name__": "__main__", "__file__": str(places[0]), "print": lambda *a, **k: 0}
+            sys.argv = [places[0].name, *flags(told | settings)]
+            exec(code, ours | names)
+    except ImportError as error:
+        raise ConfigError(f"peer={options.peer} needs what is not installed: {error}") from None
+    finally:
+        sys.argv = given
+        pool.close()
+    batch = settings["num_envs"] * settings.get("num_steps", 128)
+    summary = envs.summary(options.seed, options.steps // batch * batch)
+    summary |= {"wall_seconds": round(time.monotonic() - begun, 1)} | provenance(script)
     name = f"{config.env.name}/{PEERS[options.peer]}/{options.seed}{tail}"
-    file = f"{options.peer}-{options.seed}{tail.replace('/', '_')}.json"
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    write({name: summary}, out / file)
+    write({name: summary}, out / f"{options.peer}-{options.seed}{tail.replace('/', '_')}.json")
     print(f"{name}: {summary}")
 
 

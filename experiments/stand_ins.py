@@ -19,10 +19,10 @@ class Counted:
     """The environments of a script, and the returns of the episodes that it saw."""
 
     def __init__(self, pool: Pool, bars: Bars, total: int):
-        """Nothing was stepped yet; `total` steps are expected."""
+        """Nothing was stepped yet; `total` steps are shown as the whole."""
         self.pool, self.bars, self.total = pool, bars, total
         self.rows = 0
-        self.returns: list[float] = []
+        self.ended: list[tuple[int, float]] = []  # rows so far, and the return
         self.running = np.zeros(pool.rows[1])
 
     def reset(self) -> np.ndarray:
@@ -31,27 +31,33 @@ class Counted:
         return self.pool.reset()[0]
 
     def step(self, action: Any) -> Step:
-        """One step of every environment, arrays [N, ...]; a reset is a step, as in their pools."""
+        """One step of every environment, arrays [N, ...].
+
+        A reset takes a step of its own, as envpool and gymnasium have it; for the scripts it is a
+        step like others, one in 201 at most.
+        """
         step = self.pool.step(np.asarray(action)[None])
         step = Step(*(x if x is None else x[0] for x in step))  # type: ignore[arg-type]
         self.rows += len(step.done)
         self.running += step.reward
-        self.returns += self.running[step.done].tolist()
+        self.ended += [(self.rows, value) for value in self.running[step.done].tolist()]
         self.running[step.done] = 0
-        self.bars.to("steps", self.rows, max(self.total, self.rows + 1))  # theirs begin at random
+        # The warm-up is not known before: until the end there is one more to come.
+        self.bars.to("steps", self.rows, max(self.total, self.rows + 1))
         return step
 
-    def summary(self, seed: int, seconds: float) -> dict[str, Any]:
-        """What summary.json says of a seed."""
-        returns = self.returns
+    def summary(self, seed: int, trained: int) -> dict[str, Any]:
+        """What summary.json says of a seed; of the last `trained` steps, the others apart."""
+        warm_up = self.rows - trained
+        returns = [value for rows, value in self.ended if rows > warm_up]
         mean = lambda x: float(np.mean(x)) if x else None
         return {
             "seed": seed,
-            "steps": self.rows,
+            "steps": trained,
+            "warm_up_steps": warm_up,
             "episodes": len(returns),
             "mean_ext_return": mean(returns),
             "last100_ext_return": mean(returns[-100:]),
-            "wall_seconds": round(seconds, 1),
         }
 
 
@@ -65,69 +71,64 @@ class Nowhere:
         return lambda *args, **named: None
 
 
-def networks(width: int, heads: int, shape: str) -> dict[str, Any]:
-    """Policy, and RND's two networks, for vectors, under the names that the scripts call them by.
+def linear(wide: int, features: int, gain: float = 2**0.5) -> Any:
+    """A linear layer with orthogonal weights and zero biases, as both scripts have them."""
+    from torch import nn
 
-    Hidden layers stand where the scripts' own stand, 64 wide for 256 to 512.
+    layer = nn.Linear(wide, features)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
 
-    Args:
-      width: D, of a frame.
-      heads: value heads: two in CleanRL's script, one in RLeXplore's.
-      shape: how frames are cut from what the script holds, "row" [B, 4, 1, D] or "flat" [B, D].
+
+def cleanrl_networks(width: int, hidden: int = 64) -> dict[str, Any]:
+    """CleanRL's policy and RND for frames [B, 4, 1, D], of which the last is read.
+
+    The linear layers stand where its own stand, with their gains; for three convolutions and
+    the layer behind them there is one (policy) or two (RND).
     """
     import torch
     from torch import nn
 
-    cut = {"row": lambda x: x.reshape(len(x), -1, width)[:, -1], "flat": lambda x: x}[shape]
-
-    def linear(wide: int, features: int, gain: float = 2**0.5) -> nn.Linear:
-        layer = nn.Linear(wide, features)
-        nn.init.orthogonal_(layer.weight, gain)
-        nn.init.zeros_(layer.bias)
-        return layer
-
-    def perceptron(*layers: Any) -> nn.Sequential:
-        return nn.Sequential(*(x for layer in layers for x in (layer, nn.ReLU())))
+    newest = lambda x: x.reshape(len(x), -1, width)[:, -1]
 
     class Agent(nn.Module):
-        """A torso of two layers, one more before the actor, one added before the critics."""
-
         def __init__(self, envs: Any):
             super().__init__()
-            self.torso = perceptron(linear(width, 64), linear(64, 64))
-            self.actor = nn.Sequential(
-                perceptron(linear(64, 64, 0.01)), linear(64, int(envs.single_action_space.n), 0.01)
+            actions = int(envs.single_action_space.n)
+            self.torso = nn.Sequential(
+                linear(width, hidden), nn.ReLU(), linear(hidden, hidden), nn.ReLU()
             )
-            self.aside = perceptron(linear(64, 64, 0.1))
-            self.critics = nn.ModuleList(linear(64, 1, 0.01) for _ in range(heads))
+            self.aside = nn.Sequential(linear(hidden, hidden, 0.1), nn.ReLU())
+            self.actor = nn.Sequential(
+                linear(hidden, hidden, 0.01), nn.ReLU(), linear(hidden, actions, 0.01)
+            )
+            self.critics = nn.ModuleList(linear(hidden, 1, 0.01) for _ in range(2))
 
-        def both(self, x: Any) -> tuple[Any, list[Any]]:
-            hidden = self.torso(cut(x))
-            valued = self.aside(hidden) + hidden
-            return hidden, [critic(valued) for critic in self.critics]
+        def values(self, seen: Any) -> tuple[Any, ...]:
+            return tuple(critic(self.aside(seen) + seen) for critic in self.critics)
 
-        def get_value(self, x: Any) -> Any:
-            _, values = self.both(x)
-            return values if heads > 1 else values[0]
+        def get_value(self, x: Any) -> tuple[Any, ...]:
+            return self.values(self.torso(newest(x)))
 
         def get_action_and_value(self, x: Any, action: Any = None) -> tuple[Any, ...]:
-            hidden, values = self.both(x)
-            chosen = torch.distributions.Categorical(logits=self.actor(hidden))
+            seen = self.torso(newest(x))
+            chosen = torch.distributions.Categorical(logits=self.actor(seen))
             action = chosen.sample() if action is None else action
-            return action, chosen.log_prob(action), chosen.entropy(), *values
+            return action, chosen.log_prob(action), chosen.entropy(), *self.values(seen)
 
     class RNDModel(nn.Module):
-        """The target is three layers, the predictor has two more."""
-
         def __init__(self, *sizes: int):
             super().__init__()
-            body = lambda: perceptron(linear(width, 64), linear(64, 64))
-            self.target = nn.Sequential(body(), linear(64, 64)).requires_grad_(False)
-            more = perceptron(linear(64, 64), linear(64, 64))
-            self.predictor = nn.Sequential(body(), more, linear(64, 64))
-            self.target, self.predictor = (
-                nn.Sequential(nn.Flatten(), net) for net in (self.target, self.predictor)
-            )
+
+            def body() -> list[Any]:
+                leaky = nn.LeakyReLU
+                layers = [linear(width, hidden), leaky(), linear(hidden, hidden), leaky()]
+                return [nn.Flatten(), *layers, linear(hidden, hidden)]
+
+            self.target = nn.Sequential(*body()).requires_grad_(False)
+            more = [nn.ReLU(), linear(hidden, hidden), nn.ReLU(), linear(hidden, hidden)]
+            self.predictor = nn.Sequential(*body(), *more)
 
         def forward(self, frame: Any) -> tuple[Any, Any]:
             return self.predictor(frame), self.target(frame)
@@ -135,7 +136,33 @@ def networks(width: int, heads: int, shape: str) -> dict[str, Any]:
     return {"Agent": Agent, "RNDModel": RNDModel}
 
 
-def for_cleanrl(envs: Counted, settings: dict[str, Any]) -> dict[str, Any]:
+def rlexplore_networks(width: int, hidden: int = 64) -> dict[str, Any]:
+    """RLeXplore's policy for frames [B, D]: heads of one layer on the torso, as its own."""
+    import torch
+    from torch import nn
+
+    class Agent(nn.Module):
+        def __init__(self, envs: Any):
+            super().__init__()
+            actions = int(envs.single_action_space.n)
+            self.torso = nn.Sequential(
+                linear(width, hidden), nn.ReLU(), linear(hidden, hidden), nn.ReLU()
+            )
+            self.actor, self.critic = linear(hidden, actions, 0.01), linear(hidden, 1, 1.0)
+
+        def get_value(self, x: Any) -> Any:
+            return self.critic(self.torso(x))
+
+        def get_action_and_value(self, x: Any, action: Any = None) -> tuple[Any, ...]:
+            seen = self.torso(x)
+            chosen = torch.distributions.Categorical(logits=self.actor(seen))
+            action = chosen.sample() if action is None else action
+            return action, chosen.log_prob(action), chosen.entropy(), self.critic(seen)
+
+    return {"Agent": Agent}
+
+
+def for_cleanrl(envs: Counted, settings: dict[str, Any], seed: int) -> dict[str, Any]:
     """What CleanRL's script gets instead of Atari: old gym's four values, frames [N, 4, 1, D]."""
     import gym
 
@@ -146,22 +173,24 @@ def for_cleanrl(envs: Counted, settings: dict[str, Any]) -> dict[str, Any]:
         action_space = gym.spaces.Discrete(envs.pool.num_actions)
         observation_space = gym.spaces.Box(-1, 1, (4, 1, width))
 
+        def __init__(self, *task: str, **options: Any):
+            """They ask for Atari."""
+
         def reset(self) -> np.ndarray:
             return stacked(envs.reset())
 
         def step(self, action: Any) -> tuple[Any, ...]:
             step = envs.step(action)
-            info = {"reward": step.score, "terminated": step.done, "lives": np.zeros(size)}
+            info = {"reward": step.reward, "terminated": step.done, "lives": np.zeros(size)}
             return stacked(step.frame), step.reward, step.done, info
 
         def close(self) -> None:
-            envs.pool.close()
+            """Who made the pool closes it."""
 
-    made = SimpleNamespace(make=lambda *args, **options: Made())
-    return {"envpool": made} | networks(width, 2, "row")
+    return {"envpool": SimpleNamespace(make=Made)} | cleanrl_networks(width)
 
 
-def for_rlexplore(envs: Counted, settings: dict[str, Any]) -> dict[str, Any]:
+def for_rlexplore(envs: Counted, settings: dict[str, Any], seed: int) -> dict[str, Any]:
     """What RLeXplore's script gets instead of Atari: a vector environment of gymnasium's."""
     import gymnasium
     from rllte.xplore.reward import RND
@@ -170,7 +199,7 @@ def for_rlexplore(envs: Counted, settings: dict[str, Any]) -> dict[str, Any]:
 
     class Made(gymnasium.vector.VectorEnv):
         num_envs = size
-        single_action_space = gymnasium.spaces.Discrete(envs.pool.num_actions, seed=0)
+        single_action_space = gymnasium.spaces.Discrete(envs.pool.num_actions, seed=seed)
         single_observation_space = gymnasium.spaces.Box(-1, 1, (width,))
 
         def __init__(self, makers: list[Any]):
@@ -183,12 +212,7 @@ def for_rlexplore(envs: Counted, settings: dict[str, Any]) -> dict[str, Any]:
             step = envs.step(action)
             return step.frame, step.reward, step.done & ~step.truncated, step.truncated, {}
 
-        def close(self, **options: Any) -> None:
-            envs.pool.close()
-
-    gym = SimpleNamespace(
-        spaces=gymnasium.spaces, vector=SimpleNamespace(SyncVectorEnv=Made), Wrapper=object
-    )
+    gym = SimpleNamespace(spaces=gymnasium.spaces, vector=SimpleNamespace(SyncVectorEnv=Made))
     own = {k.removeprefix("rnd."): v for k, v in settings.items() if k.startswith("rnd.")}
     ours = {"gym": gym, "make_env": lambda *args: None, "RE3": partial(RND, **own)}
-    return ours | dict.fromkeys(WRAPPERS) | networks(width, 1, "flat")
+    return ours | dict.fromkeys(WRAPPERS) | rlexplore_networks(width)
