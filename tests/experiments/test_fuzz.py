@@ -257,5 +257,5 @@ def test_a_directory_from_elsewhere_executes_nothing():
     refused = "allow_pickle=False"  # of numpy: plain numbers or an error
     found = [name for name, line in lines if refused not in line and readers.search(line)]
     assert len(files) > 40
-    # with the loader that makes plain data only; peers runs the script that it is given, and says so
+    # stored with the loader that makes plain data only; peers runs a script, as it is there to do
     assert Counter(found) == {"stored.py": 1, "peers.py": 2}
