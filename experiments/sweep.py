@@ -162,9 +162,8 @@ def begun(directory: Path, listed: list[cells.Cell]) -> list[cells.Standing]:
         if cell.problem is None and (other := cells.conflict(directory, cell, known)):
             cell = cell._replace(problem=other)  # what is there stays as it is
         now.append(standing := cells.standing(directory, cell, last))
-        if standing.state not in (cells.RUNNING, cells.DONE) and (
-            known is None or not cell.problem
-        ):
+        at_work = standing.state in (cells.RUNNING, cells.DONE)
+        if known is None or not (at_work or cell.problem):
             cells.write(directory, cell, **last)
     words = {
         cells.DONE: "done already",

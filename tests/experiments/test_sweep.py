@@ -149,6 +149,21 @@ def test_a_sweep_is_extended_and_what_is_of_another_configuration_is_refused(tmp
     assert [s[1:3] for s in survey(directory)] == [("done", 256)]
 
 
+def test_a_run_that_was_finished_by_hand_is_a_cell_that_is_done(tmp_path):
+    directory = tmp_path / "sweep"
+    mine = ["env=MountainCar", "algo=ppo", *SMALL, "total_steps=128"]
+    run = [sys.executable, "-m", "experiments.run", *mine, "seed=3"]
+    run += [f"run_dir={directory / 'MountainCar' / 'ppo' / '3'}"]
+    subprocess.run(run, cwd=ROOT, capture_output=True, check=True, timeout=300)
+    summary = directory / "MountainCar" / "ppo" / "3" / "summary.json"
+    before = summary.stat().st_mtime_ns
+    out = sweep(directory, *mine, "seed=choice(3)")
+    assert "1 done already" in out
+    assert summary.stat().st_mtime_ns == before  # it was not run again
+    (standing,) = cells.survey(directory)
+    assert standing.state == cells.DONE
+
+
 def test_an_interrupted_sweep_leaves_checkpoints_and_says_how_to_go_on(tmp_path):
     directory = tmp_path / "sweep"
     more = ["hydra.launcher.n_jobs=2", *SMALL]
