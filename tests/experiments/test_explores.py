@@ -19,7 +19,7 @@ RAW = sorted((RESULTS / "explores").glob("*.json"))
 
 
 # What counts as reaching it, where that is not a share of 0.9.
-GOALS = {"cartpole": 475.0, "coinrun": 5.0, "coinrun_level_0": 5.0}
+GOALS = {"cartpole": 475.0, "coinrun": 5.0, "coinrun_level_0": 5.0, "ablations": 5.0}
 
 
 def lines(raw):
