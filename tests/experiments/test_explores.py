@@ -44,6 +44,26 @@ def test_every_line_of_several_seeds_has_raw_figures():
     assert shown == known
 
 
+def test_the_overview_of_minigrid_is_of_the_same_figures():
+    page = (RESULTS / "explores.md").read_text()
+    _, begin, rest = page.partition("| seeds of five that solve it")
+    head, _, *shown = (begin + rest.partition("\n\n")[0]).splitlines()
+    parts = lambda line: [part.strip() for part in line.strip("|").split("|")]
+    files = {"DoorKey-8x8": "doorkey", "KeyCorridorS3R3": "keycorridor"}
+    files |= {"MultiRoom-N6": "multiroom", "MultiRoom-N4-S5": "multiroom_n4"}
+    levels = [files.pop(level.partition(",")[0]) for level in parts(head)[1:]]
+    assert len(levels) >= 3
+    for column, level in enumerate(levels, start=1):
+        raw = json.loads((RESULTS / "explores" / f"{level}.json").read_text())
+        expected = {}
+        for name in {key.split("/")[1] for key in raw}:
+            last = [run["last100_ext_return"] for key, run in raw.items() if f"/{name}/" in key]
+            reached = sum(value >= 0.9 for value in last)
+            expected[name] = f"{reached}/{len(last)}, {np.mean(last):.2f}"
+        found = {parts(line)[0]: parts(line)[column] for line in shown}
+        assert {name: value for name, value in found.items() if value != "not run"} == expected
+
+
 def summed(path, arguments, returns, steps=1_003_520):
     """A run directory with a summary, the return of each seed's last episodes given."""
     made(
