@@ -163,7 +163,9 @@ def draw(summaries: Summaries, goal: float, path: Path) -> None:
 
     found = rows(summaries)
     envs = list(dict.fromkeys(row.env for row in found))
-    most = max(sum(1 + len(row.name) // WIDE for row in found if row.env == env) for env in envs)
+    label = lambda row: fill(row.name, WIDE, break_long_words=False)
+    tall = lambda env: sum(1 + label(row).count("\n") for row in found if row.env == env)
+    most = max(map(tall, envs))
     figure, ((*grid,),) = panels(1, len(envs), 1.5 + 4.2 * len(envs), 1.3 + 0.3 * most)
     for axes, env in zip(grid, envs, strict=True):
         own = [row for row in found if row.env == env][::-1]
@@ -175,8 +177,7 @@ def draw(summaries: Summaries, goal: float, path: Path) -> None:
                 axes.plot(interval(np.array(there)), [at, at], color="#4D4D4D", linewidth=1.2)
             axes.plot(last, [at] * len(last), "o", color=colour, markersize=5, alpha=0.8)
         axes.axvline(goal, color="#7F7F7F", linewidth=0.8, linestyle=":")
-        labels = [fill(row.name, WIDE, break_long_words=False) for row in own]
-        axes.set_yticks(range(len(own)), labels, fontsize=9)
+        axes.set_yticks(range(len(own)), [label(row) for row in own], fontsize=9)
         axes.set_xlim(left=-0.02 * max(1.0, axes.get_xlim()[1]))
         axes.set_xlabel("external return, last 100 episodes")
         axes.set_title(env, fontsize=10)
