@@ -15,17 +15,25 @@ QT_LIBRARIES = (
 )
 
 
-def load_qt() -> None:
-    """Make Qt's symbols known to the process, from the PyPI package where it is installed."""
+def load_qt() -> str:
+    """Make Qt's symbols known to the process, from the PyPI package where it is installed.
+
+    Returns what was in the way, "" if nothing was: Qt needs GLib and OpenGL from the system, and
+    all but Procgen does without.
+    """
     package = importlib.util.find_spec("PyQt5")
     for root in (package.submodule_search_locations or ()) if package else ():
         for name in QT_LIBRARIES:
             path = Path(root) / "Qt5" / "lib" / name
-            if path.is_file():
-                ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+            try:
+                if path.is_file():
+                    ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+            except OSError as error:
+                return f"{error}; Qt needs Debian's libglib2.0-0 and libgl1"
+    return ""
 
 
-load_qt()
+QT_MISSES = load_qt()
 
 import envpool
 import gymnasium as gym
@@ -56,6 +64,8 @@ def family_of(task: str) -> str:
         space = envpool.make_spec(task).action_space
     except Exception as error:  # a task that needs files of its own, say
         cause = (str(error) or type(error).__name__).splitlines()[0]
+        if QT_MISSES and registry.specs[task][0] == "envpool.procgen":
+            cause = QT_MISSES
         raise ConfigError(f"envpool cannot make {task}: {cause}") from None
     if not isinstance(space, gym.spaces.Discrete):
         raise ConfigError(

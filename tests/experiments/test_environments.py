@@ -1,5 +1,8 @@
 """Against envpool itself, on real Atari, Procgen and classic control."""
 
+import subprocess
+import sys
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -192,6 +195,30 @@ def test_tasks_are_refused_by_name():
         family_of("Pendulum-v1")
     with pytest.raises(ConfigError, match="cannot make Pong-v5"):
         make_pool(EnvConfig(name="x", id="Pong-v5", options={"no_such_option": 1}), [0], 1)
+
+
+PLAIN_SYSTEM = """
+import ctypes
+
+def without_glib(path, *_, real=ctypes.CDLL, **more):
+    if "libQt5Core" in str(path):
+        raise OSError("libgthread-2.0.so.0: cannot open shared object file")
+    return real(path, *_, **more)
+
+ctypes.CDLL = without_glib
+from experiments.catalogue import family_of
+
+print(family_of("Venture-v5"))
+family_of("JumperExploration-v0")
+"""
+
+
+def test_where_qt_does_not_load_only_procgen_is_refused_and_it_says_what_is_missing():
+    done = subprocess.run([sys.executable, "-c", PLAIN_SYSTEM], capture_output=True, text=True)
+    assert done.stdout == "atari\n"
+    refusal = done.stderr.splitlines()[-1]
+    assert "envpool cannot make JumperExploration-v0: libgthread-2.0.so.0" in refusal
+    assert "libglib2.0-0" in refusal
 
 
 class Corridor(gym.Env):
