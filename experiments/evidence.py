@@ -1,15 +1,18 @@
 """python -m experiments.evidence --minutes 240: the thesis' hard games, while there is time.
 
-Trains SND-VIC, SND-STD, RND and PPO on Montezuma's Revenge and Venture at the thesis' settings in
-turn, each for its share of the minutes, and stops it at a checkpoint. Called again it goes on
-where the runs stand. Leaves a run directory for each, and a page of them all.
+Trains SND-VIC, SND-STD, RND and PPO on Montezuma's Revenge and Venture at the thesis' settings,
+--at-once of them side by side, each for its share of the minutes, and stops it at a checkpoint.
+Called again it goes on where the runs stand. Leaves a run directory for each, and a page of them
+all.
 """
 
+import os
 import shutil
 import signal
 import subprocess
 import sys
-from contextlib import suppress
+import time
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +30,9 @@ class Options:
     out: str = option("runs/evidence", "where the runs are; called again it goes on there")
     envs: str = option("MontezumaRevenge,Venture", "environments, with commas")
     algos: str = option("snd_vic,snd_std,rnd,ppo", "algorithms, with commas")
+    at_once: int = option(
+        1, "runs side by side on the GPU; each then says what it does in a file", low=1
+    )
     cpu: bool = option(False, "also where jax sees no GPU")
 
 
@@ -37,27 +43,50 @@ def backend() -> str:
     return done.stdout.strip()
 
 
-def train(env: str, algo: str, place: Path, seconds: float) -> int:
-    """Train for so many seconds, from where the run stands; 0, or the status it ended with.
-
-    The run gets a SIGTERM, also where this process is stopped, and writes its checkpoint.
-    """
-    command = [sys.executable, "-m", "experiments.run", f"env={env}", f"algo={algo}"]
-    command += [f"run_dir={place}", "resume=auto"]
-    if shutil.which("setpriv"):
-        command = ["setpriv", "--pdeathsig", "TERM", *command]
-    process = subprocess.Popen(command, start_new_session=True)  # Ctrl-C is for us
+def ended(process: subprocess.Popen[bytes]) -> int:
+    """The status of a run that was sent a SIGTERM; 0 if that ended it, its checkpoint written."""
     try:
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(seconds)
-    finally:
-        process.terminate()
-        try:
-            status = process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            status = process.wait()
+        status = process.wait(PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        status = process.wait()
     return 0 if status == 128 + signal.SIGTERM else status
+
+
+def train(cells: list[tuple[str, str]], out: Path, seconds: float) -> list[int]:
+    """Train side by side for so many seconds, from where the runs stand; their statuses.
+
+    Each gets a SIGTERM, also where this process is stopped, and writes its checkpoint.
+    """
+    end, processes = time.monotonic() + seconds, []
+    environment = dict(os.environ)
+    if len(cells) > 1:  # or the first would take most of the GPU's memory
+        environment.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    with ExitStack() as files:
+        try:
+            for env, algo in cells:
+                place = out / env / algo
+                command = [sys.executable, "-m", "experiments.run", f"env={env}", f"algo={algo}"]
+                command += [f"run_dir={place}", "resume=auto"]
+                if shutil.which("setpriv"):
+                    command = ["setpriv", "--pdeathsig", "TERM", *command]
+                said = None
+                if len(cells) > 1:
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                    said = files.enter_context(place.with_suffix(".log").open("ab"))
+                processes.append(  # a session of its own: Ctrl-C is for us
+                    subprocess.Popen(
+                        command, start_new_session=True, env=environment, stdout=said, stderr=said
+                    )
+                )
+            for process in processes:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(max(0.0, end - time.monotonic()))
+        finally:
+            for process in processes:
+                process.terminate()
+            statuses = [ended(process) for process in processes]
+    return statuses
 
 
 def work(places: list[Path], options: Options) -> None:
@@ -70,13 +99,15 @@ def work(places: list[Path], options: Options) -> None:
             "--cpu to run it all the same)"
         )
     cells = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]
-    out, share = Path(options.out), 60 * options.minutes / len(cells)
+    rounds = [cells[k : k + options.at_once] for k in range(0, len(cells), options.at_once)]
+    out, share = Path(options.out), 60 * options.minutes / len(rounds)
     failed = []
-    for env, algo in cells:
-        print(f"{env} {algo}: {share / 60:.1f} minutes", flush=True)
-        status = train(env, algo, out / env / algo, share)
-        if status:
-            failed.append(f"{env} {algo} (status {status})")
+    for together in rounds:
+        names = [f"{env} {algo}" for env, algo in together]
+        where = f"; they write to {out}/*/*.log" if len(together) > 1 else ""
+        print(f"{', '.join(names)}: {share / 60:.1f} minutes{where}", flush=True)
+        statuses = zip(names, train(together, out, share), strict=True)
+        failed += [f"{name} (status {status})" for name, status in statuses if status]
     from experiments.report import write
 
     page = out / "report"
