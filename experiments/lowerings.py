@@ -1,9 +1,10 @@
 """python -m experiments.lowerings: a convolution's ways down to the processor, timed side by side.
 
-One gradient of the policy's network on 512 Atari stacks: as `sndjax.convolution` builds it, with
-slices of other sizes, and with XLA's own convolution. All in turn, each round in another order, a
-matrix product before each round. For whoever wants to know whether eight images a slice suit
-another machine too.
+One gradient of the policy's network on 512 Atari stacks: in slices of several sizes (eight is what
+`sndjax.convolution` takes on a CPU, one elsewhere) and with XLA's own convolution. On a GPU in one
+slice and with XLA's own, and of four agents at once too. All in turn, each round in another order,
+a matrix product before each round. For whoever wants to know whether what was chosen suits another
+machine too.
 """
 
 import time
@@ -20,13 +21,15 @@ from experiments.timing import Clock, processor, say
 from experiments.versions import versions
 from sndjax import ATARI, ActorCritic, convolution
 
-BATCH, ROUNDS = 512, 8
-VARIANTS: dict[str, dict[str, Any]] = {
-    "as built": {},
-    "slices of 4": {"SLICE": 4},
-    "slices of 16": {"SLICE": 16},
-    "slices of 64": {"SLICE": 64},
-    "the batch in one slice": {"SLICE": BATCH},
+BATCH, ROUNDS, AGENTS = 512, 8, 4
+
+
+VARIANTS: dict[str, dict[str, Any]] = {  # what is patched of `convolution`
+    "slices of 4": {"slice_count": lambda images: images // 4},
+    "slices of 8": {"slice_count": lambda images: images // 8},
+    "slices of 16": {"slice_count": lambda images: images // 16},
+    "slices of 64": {"slice_count": lambda images: images // 64},
+    "the batch in one slice": {"slice_count": lambda images: 1},
     "XLA's own convolution": {"convolve_patches": convolution.convolve_native},
 }
 
@@ -43,31 +46,42 @@ def main() -> None:
         return jnp.sum(logits**2) + jnp.sum(value**2)
 
     work = operations(jax.make_jaxpr(jax.grad(loss))(params, stacks).jaxpr)
-    compiled: dict[str, Any] = {}
-    times: dict[str, list[float]] = {name: [] for name in VARIANTS}
+    alone = (params, stacks)
+    together = jax.tree.map(lambda x: jnp.stack([x] * AGENTS), alone)
+    names, inputs = list(VARIANTS), {1: alone}
+    if jax.default_backend() != "cpu":  # compiling a slice takes its time there
+        names, inputs = names[-2:], {1: alone, AGENTS: together}
+    compiled: dict[tuple[int, str], Any] = {}
+    times: dict[tuple[int, str], list[float]] = {}
     clock = Clock()
-    for name, constants in VARIANTS.items():
-        say(f"compiling: {name}")
-        with patch.multiple(convolution, **{"SLICE": convolution.SLICE} | constants):
-            # A function of its own, or jax would take the program of the variant before.
-            step = jax.jit(jax.grad(lambda params, stacks: loss(params, stacks)))
-            compiled[name] = step.lower(params, stacks).compile()
-        jax.block_until_ready(compiled[name](params, stacks))
+    for count, name in [(count, name) for count in inputs for name in names]:
+        say(f"compiling: {name}, {count} agent(s)")
+        # A function of its own, or jax would take the program of the variant before.
+        gradient = jax.grad(lambda params, stacks: loss(params, stacks))
+        with patch.multiple(convolution, **VARIANTS[name]):
+            step = jax.jit(gradient if count == 1 else jax.vmap(gradient))
+            compiled[count, name] = step.lower(*inputs[count]).compile()
+        jax.block_until_ready(compiled[count, name](*inputs[count]))
+        times[count, name] = []
     for turn in range(ROUNDS):
         say(f"round {turn + 1} of {ROUNDS}")
         clock.time_product()
-        for name in draw.permutation(list(VARIANTS)):
+        for index in draw.permutation(len(times)):
+            count, name = list(times)[index]
             begun = time.perf_counter()
-            jax.block_until_ready(compiled[name](params, stacks))
-            times[name].append(time.perf_counter() - begun)
+            jax.block_until_ready(compiled[count, name](*inputs[count]))
+            times[count, name].append(time.perf_counter() - begun)
     rate = clock.gflops()
-    say(f"{'':<26}{'best ms':>9}{'median ms':>11}{'of the product':>16}{'temporaries MB':>16}")
-    for name, found in times.items():
-        memory = compiled[name].memory_analysis().temp_size_in_bytes / 1e6
-        share = work / np.median(found) / 1e9 / rate
+    say(
+        f"{'':<26}{'agents':>8}{'best ms':>10}{'median ms':>11}{'of the product':>16}"
+        f"{'temporaries MB':>16}"
+    )
+    for (count, name), found in times.items():
+        memory = compiled[count, name].memory_analysis().temp_size_in_bytes / 1e6
+        share = count * work / np.median(found) / 1e9 / rate
         say(
-            f"{name:<26}{1e3 * min(found):>9.0f}{1e3 * np.median(found):>11.0f}{share:>16.2f}"
-            f"{memory:>16,.0f}"
+            f"{name:<26}{count:>8}{1e3 * min(found):>10.1f}{1e3 * np.median(found):>11.1f}"
+            f"{share:>16.2f}{memory:>16,.0f}"
         )
     say(f"{processor()}; product {rate:.0f} GFLOP/s; {versions()}")
 

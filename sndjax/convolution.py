@@ -1,9 +1,11 @@
 """The one place that knows how convolutions are lowered on each backend.
 
-On a CPU a convolution is patches times weights, and a slice of the batch goes through all
+A convolution is patches times weights. On a CPU a small slice of the batch goes through all
 layers before the next one does: what one layer hands to the next stays in the cache, and
 unlike XLA's native CPU convolution the products are as fast inside a loop as outside one.
-Everywhere else it is the native convolution. The tests hold the two equal.
+Elsewhere the whole minibatch is one slice: there the native convolution is as fast for one
+agent, but under vmap over agents, each with its own kernel, it becomes a grouped one, many times
+slower than one agent after another (docs/results/speed.md). The tests hold the two equal.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Shaped
 
-SLICE = 8  # images that are in the cache at once
+CACHED = 8  # images that are in a CPU's cache at once
+TOGETHER = 1024  # images at once elsewhere
 
 
 class Convolution(NamedTuple):
@@ -75,9 +78,14 @@ def patches(x: Shaped[Array, "B H W C"], layer: Convolution) -> Float[Array, "B 
     return to_float(neighbourhoods)
 
 
+def slice_count(images: int) -> int:
+    """Into how many slices of the same size so many images go."""
+    return -(-images // (CACHED if jax.default_backend() == "cpu" else TOGETHER))
+
+
 def slices(x: Shaped[Array, "B *rest"]) -> Shaped[Array, "M m *rest"]:
     """A batch cut into the slices that are worked on one after another."""
-    return x.reshape(-1, min(SLICE, x.shape[0]), *x.shape[1:])
+    return x.reshape(slice_count(x.shape[0]), -1, *x.shape[1:])
 
 
 def whole(x: Shaped[Array, "M m *rest"]) -> Shaped[Array, "B *rest"]:
@@ -161,13 +169,13 @@ sliced.defvjp(sliced_forward, sliced_backward)
 def convolve_patches(x, weights, layers, activation, wanted):
     """`convolve` as patches times weights, slice by slice of the batch."""
     count = x.shape[0]
-    short = -count % min(SLICE, count)
+    short = -count % slice_count(count)
     x = jnp.pad(x, ((0, short), (0, 0), (0, 0), (0, 0)))
     return tuple(y[:count] for y in sliced(x, weights, layers, activation, wanted))
 
 
 def convolve_native(x, weights, layers, activation, wanted):
-    """`convolve` as XLA's own operation, layer by layer."""
+    """`convolve` as XLA's own operation, layer by layer: what the tests hold it to."""
     maps = []
     x = to_float(x).astype(weights[0][0].dtype)
     for (kernel, bias), layer in zip(weights, layers, strict=True):
@@ -209,5 +217,4 @@ def convolve(
     >>> [y.shape for y in convolve(jnp.ones((2, 4, 4, 1)), weights, layers, "relu", (0, 1))]
     [(2, 2, 2, 5), (2, 2, 2, 7)]
     """
-    lowering = convolve_patches if jax.default_backend() == "cpu" else convolve_native
-    return lowering(x, weights, layers, activation, wanted)
+    return convolve_patches(x, weights, layers, activation, wanted)

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sndjax import convolution
 from sndjax.convolution import ACTIVATIONS, Convolution, convolve, convolve_native, convolve_patches
 
 LAYERS = {
@@ -87,6 +88,25 @@ def test_patches_equal_native_in_value_and_gradient(activation, batch, layers, w
     for one, other in zip(got, wanted_, strict=True):
         scale = np.abs(other).max() + 1e-6
         np.testing.assert_allclose(one / scale, other / scale, atol=2e-5)
+
+
+@pytest.mark.parametrize(("images", "count"), [(640, 80), (3, 1), (17, 3)])
+def test_a_cpu_takes_eight_images_a_slice_or_a_few_less(images, count):
+    assert convolution.slice_count(images) == count
+
+
+def test_elsewhere_the_batch_is_one_slice_or_a_few_of_the_same_size(monkeypatch):
+    x, weights = network(np.random.default_rng(0), LAYERS["SND"], batch=19)
+    total = lambda w: jnp.sum(convolve(x, w, LAYERS["SND"], "elu", (2, 3))[1] ** 2)
+    wanted = jax.tree.leaves(jax.grad(total)(weights))
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert convolution.slice_count(640) == 1
+    assert convolution.slice_count(16_512) == 17
+    for together in (1024, 10):
+        monkeypatch.setattr(convolution, "TOGETHER", together)
+        for one, other in zip(jax.tree.leaves(jax.grad(total)(weights)), wanted, strict=True):
+            scale = np.abs(other).max()
+            np.testing.assert_allclose(one / scale, other / scale, atol=2e-5)
 
 
 def test_pixels_are_read_as_fractions_of_255():
