@@ -110,6 +110,7 @@ def report(options: Options) -> str:
     gpu = json.loads(path.read_text()) if path.exists() else {}
     stepping = [one["seconds_per_1000_steps"]["environment"] for one in measured.values()]
     pool = 1000 / median(stepping) / 2 * options.cores  # steps/s beside a GPU
+    slowest = min((one["steps_per_second"] for one in gpu.values()), default=pool)
     lines = [
         "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | GPU memory, MB "
         "| disk, MB | hours on two cores | GPU hours |",
@@ -121,7 +122,7 @@ def report(options: Options) -> str:
     for (algo, family), kind in sorted(kinds_of(options.sweep).items()):
         known = algo if algo in measured else REFERENCE
         here = measured[known]["steps_per_second"] * weight(known, "Atari")[0] / kind.gflop
-        rate = gpu.get(algo, {}).get("steps_per_second", pool)
+        rate = gpu.get(algo, {}).get("steps_per_second", slowest)
         needed = max(needed, rate * kind.gflop / 1e3)
         two_cores = kind.steps / here / HOUR
         on_gpu = kind.steps / rate / HOUR
@@ -135,7 +136,11 @@ def report(options: Options) -> str:
             f"| {two_cores:,.0f} | {on_gpu:.1f} |"
         )
     resident = max(one["peak_rss_mb"] for one in measured.values()) / 1e3
-    how = "as measured (bench-gpu.json)" if gpu else f"of {pool:,.0f} steps/s, as its environments"
+    how = (
+        f"as measured (bench-gpu.json: {', '.join(gpu)}; others at {slowest:,.0f} steps/s)"
+        if gpu
+        else f"of {pool:,.0f} steps/s, as its environments"
+    )
     lines += [
         "",
         f"{len(fast)} runs, {sum(slow):,.0f} hours on machines of two cores, "
