@@ -18,6 +18,7 @@ from pathlib import Path
 
 from experiments.arguments import command
 from experiments.options import ConfigError, option
+from experiments.work import sharing
 
 PATIENCE = 600.0  # seconds that a run may take from the signal to its checkpoint
 
@@ -59,9 +60,7 @@ def train(cells: list[tuple[str, str]], out: Path, seconds: float) -> list[int]:
     Each gets a SIGTERM, also where this process is stopped, and writes its checkpoint.
     """
     end, processes = time.monotonic() + seconds, []
-    environment = dict(os.environ)
-    if len(cells) > 1:  # or the first would take most of the GPU's memory
-        environment.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    environment = os.environ | (sharing() if len(cells) > 1 else {})
     with ExitStack() as files:
         try:
             for env, algo in cells:

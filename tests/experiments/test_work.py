@@ -22,6 +22,8 @@ def test_two_cells_have_two_gpus_and_a_third_shares_one(tmp_path, monkeypatch):
         names = [device["CUDA_VISIBLE_DEVICES"] for device in (first, second, third)]
     assert names[:2] == ["6", "7"]
     assert names[2] in ("6", "7")
+    for device in (first, second, third):  # or the first would leave the third a quarter of one
+        assert device["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
     with Work(str(tmp_path), str(tmp_path), 0, (), 1, ()).device() as none:
         assert none == {}
 
