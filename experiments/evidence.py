@@ -45,22 +45,23 @@ def backend() -> str:
 
 
 def ended(process: subprocess.Popen[bytes]) -> int:
-    """The status of a run that was sent a SIGTERM; 0 if that ended it, its checkpoint written."""
+    """The status of a run that was sent a SIGTERM; 0 if that ended it."""
     try:
         status = process.wait(PATIENCE)
     except subprocess.TimeoutExpired:
         process.kill()
         status = process.wait()
-    return 0 if status == 128 + signal.SIGTERM else status
+    return 0 if status in (128 + signal.SIGTERM, -signal.SIGTERM) else status
 
 
-def train(cells: list[tuple[str, str]], out: Path, seconds: float) -> list[int]:
+def train(cells: list[tuple[str, str]], out: Path, seconds: float, alone: bool = True) -> list[int]:
     """Train side by side for so many seconds, from where the runs stand; their statuses.
 
-    Each gets a SIGTERM, also where this process is stopped, and writes its checkpoint.
+    Each gets a SIGTERM, also where this process is stopped, and writes its checkpoint if it has
+    begun. Where a run is not alone on the GPU, it leaves others memory and the terminal.
     """
     end, processes = time.monotonic() + seconds, []
-    environment = os.environ | (sharing() if len(cells) > 1 else {})
+    environment = os.environ | ({} if alone else sharing())
     with ExitStack() as files:
         try:
             for env, algo in cells:
@@ -70,7 +71,7 @@ def train(cells: list[tuple[str, str]], out: Path, seconds: float) -> list[int]:
                 if shutil.which("setpriv"):
                     command = ["setpriv", "--pdeathsig", "TERM", *command]
                 said = None
-                if len(cells) > 1:
+                if not alone:
                     place.parent.mkdir(parents=True, exist_ok=True)
                     said = files.enter_context(place.with_suffix(".log").open("ab"))
                 processes.append(  # a session of its own: Ctrl-C is for us
@@ -100,17 +101,17 @@ def work(places: list[Path], options: Options) -> None:
     cells = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]
     rounds = [cells[k : k + options.at_once] for k in range(0, len(cells), options.at_once)]
     out, share = Path(options.out), 60 * options.minutes / len(rounds)
-    failed = []
+    alone, failed = options.at_once == 1, []
     for together in rounds:
         names = [f"{env} {algo}" for env, algo in together]
-        where = f"; they write to {out}/*/*.log" if len(together) > 1 else ""
+        where = "" if alone else f"; they write to {out}/*/*.log"
         print(f"{', '.join(names)}: {share / 60:.1f} minutes{where}", flush=True)
-        statuses = zip(names, train(together, out, share), strict=True)
+        statuses = zip(names, train(together, out, share, alone), strict=True)
         failed += [f"{name} (status {status})" for name, status in statuses if status]
     from experiments.report import write
 
     page = out / "report"
-    page.mkdir(exist_ok=True)
+    page.mkdir(parents=True, exist_ok=True)
     write([out], page, live=False)
     if failed:
         raise ConfigError(

@@ -1,10 +1,10 @@
 """python -m experiments.lowerings: a convolution's ways down to the processor, timed side by side.
 
-One gradient of the policy's network on 512 Atari stacks: in slices of several sizes (eight is what
-`sndjax.convolution` takes on a CPU, one elsewhere) and with XLA's own convolution. On a GPU in one
-slice and with XLA's own, and of four agents at once too. All in turn, each round in another order,
-a matrix product before each round. For whoever wants to know whether what was chosen suits another
-machine too.
+One gradient of the policy's network on 512 Atari stacks: in slices of several sizes (on a CPU
+`sndjax.convolution` takes eight images, elsewhere the whole batch) and with XLA's own
+convolution. On a GPU, where many small slices compile slowly, only the whole batch and XLA's own,
+but of four agents at once too. All in turn, each round in another order, a matrix product before
+each round. For whoever wants to know whether what was chosen suits another machine.
 """
 
 import time
@@ -19,19 +19,18 @@ from experiments.estimate import operations
 from experiments.process import before_jax
 from experiments.timing import Clock, processor, say
 from experiments.versions import versions
-from sndjax import ATARI, ActorCritic, convolution
+from sndjax import ATARI, ActorCritic, convolution, networks
 
 BATCH, ROUNDS, AGENTS = 512, 8, 4
+SLICES = {f"slices of {images}": BATCH // images for images in (4, 8, 16, 64)}
+WHOLE, NATIVE = "the batch in one slice", "XLA's own convolution"
 
 
-VARIANTS: dict[str, dict[str, Any]] = {  # what is patched of `convolution`
-    "slices of 4": {"slice_count": lambda images: images // 4},
-    "slices of 8": {"slice_count": lambda images: images // 8},
-    "slices of 16": {"slice_count": lambda images: images // 16},
-    "slices of 64": {"slice_count": lambda images: images // 64},
-    "the batch in one slice": {"slice_count": lambda images: 1},
-    "XLA's own convolution": {"convolve_patches": convolution.convolve_native},
-}
+def lowered(name: str) -> Any:
+    """A context in which networks are made with this variant."""
+    if name == NATIVE:
+        return patch.object(networks, "convolve", convolution.convolve_native)
+    return patch.object(convolution, "slice_count", lambda images: SLICES.get(name, 1))
 
 
 def main() -> None:
@@ -48,9 +47,9 @@ def main() -> None:
     work = operations(jax.make_jaxpr(jax.grad(loss))(params, stacks).jaxpr)
     alone = (params, stacks)
     together = jax.tree.map(lambda x: jnp.stack([x] * AGENTS), alone)
-    names, inputs = list(VARIANTS), {1: alone}
-    if jax.default_backend() != "cpu":  # compiling a slice takes its time there
-        names, inputs = names[-2:], {1: alone, AGENTS: together}
+    names, inputs = [*SLICES, WHOLE, NATIVE], {1: alone}
+    if jax.default_backend() != "cpu":
+        names, inputs = [WHOLE, NATIVE], {1: alone, AGENTS: together}
     compiled: dict[tuple[int, str], Any] = {}
     times: dict[tuple[int, str], list[float]] = {}
     clock = Clock()
@@ -58,7 +57,7 @@ def main() -> None:
         say(f"compiling: {name}, {count} agent(s)")
         # A function of its own, or jax would take the program of the variant before.
         gradient = jax.grad(lambda params, stacks: loss(params, stacks))
-        with patch.multiple(convolution, **VARIANTS[name]):
+        with lowered(name):
             step = jax.jit(gradient if count == 1 else jax.vmap(gradient))
             compiled[count, name] = step.lower(*inputs[count]).compile()
         jax.block_until_ready(compiled[count, name](*inputs[count]))

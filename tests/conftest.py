@@ -28,10 +28,10 @@ def quick_compilation():
     """
     import flax.linen as nn
 
-    from sndjax import convolution
+    from sndjax import convolution, networks
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(convolution, "convolve_patches", convolution.convolve_native)
+        patch.setattr(networks, "convolve", convolution.convolve_native)
         normal = lambda gain: nn.initializers.variance_scaling(gain**2, "fan_in", "normal")
         patch.setattr(nn.initializers, "orthogonal", normal)
         yield

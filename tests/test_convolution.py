@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sndjax import convolution
-from sndjax.convolution import ACTIVATIONS, Convolution, convolve, convolve_native, convolve_patches
+from sndjax.convolution import ACTIVATIONS, Convolution, convolve, convolve_native
 
 LAYERS = {
     "stride 2": (Convolution(4, stride=2),),
@@ -52,7 +52,7 @@ def network(rng, layers, batch=5, side=12, channels=3):
     return x, tuple(weights)
 
 
-@pytest.mark.parametrize("lowering", [convolve_patches, convolve_native, convolve])
+@pytest.mark.parametrize("lowering", [convolve, convolve_native])
 @pytest.mark.parametrize("activation", ["elu", "relu", "none"])
 @pytest.mark.parametrize("layers", LAYERS)
 def test_every_map_is_the_brute_force_one(lowering, activation, layers):
@@ -82,31 +82,33 @@ def test_patches_equal_native_in_value_and_gradient(activation, batch, layers, w
 
         return jax.jit(jax.value_and_grad(total, (0, 1)))
 
-    got, wanted_ = (
-        jax.tree.leaves(value(f)(x, weights)) for f in (convolve_patches, convolve_native)
-    )
+    got, wanted_ = (jax.tree.leaves(value(f)(x, weights)) for f in (convolve, convolve_native))
     for one, other in zip(got, wanted_, strict=True):
         scale = np.abs(other).max() + 1e-6
         np.testing.assert_allclose(one / scale, other / scale, atol=2e-5)
 
 
-@pytest.mark.parametrize(("images", "count"), [(640, 80), (3, 1), (17, 3)])
-def test_a_cpu_takes_eight_images_a_slice_or_a_few_less(images, count):
+@pytest.mark.parametrize(
+    ("backend", "images", "count"),
+    [("cpu", 640, 80), ("cpu", 3, 1), ("cpu", 17, 3), ("gpu", 640, 1), ("gpu", 16_512, 17)],
+)
+def test_a_cpu_takes_eight_images_a_slice_others_a_minibatch(backend, images, count, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
     assert convolution.slice_count(images) == count
 
 
-def test_elsewhere_the_batch_is_one_slice_or_a_few_of_the_same_size(monkeypatch):
-    x, weights = network(np.random.default_rng(0), LAYERS["SND"], batch=19)
-    total = lambda w: jnp.sum(convolve(x, w, LAYERS["SND"], "elu", (2, 3))[1] ** 2)
-    wanted = jax.tree.leaves(jax.grad(total)(weights))
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert convolution.slice_count(640) == 1
-    assert convolution.slice_count(16_512) == 17
-    for together in (1024, 10):
-        monkeypatch.setattr(convolution, "TOGETHER", together)
-        for one, other in zip(jax.tree.leaves(jax.grad(total)(weights)), wanted, strict=True):
-            scale = np.abs(other).max()
-            np.testing.assert_allclose(one / scale, other / scale, atol=2e-5)
+@pytest.mark.parametrize("slices", [1, 2, 19])
+def test_the_gradients_are_the_same_in_any_number_of_slices_also_over_agents(slices, monkeypatch):
+    layers = LAYERS["SND"]
+    agents = [network(np.random.default_rng(seed), layers, batch=19) for seed in range(2)]
+    total = lambda lowering: lambda x, w: jnp.sum(lowering(x, w, layers, "elu", (2, 3))[1] ** 2)
+    wanted = [jax.grad(total(convolve_native), 1)(*agent) for agent in agents]
+    monkeypatch.setattr(convolution, "slice_count", lambda images: slices)
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *agents)
+    found = jax.vmap(jax.grad(total(convolve), 1))(*stacked)
+    for one, *others in zip(*map(jax.tree.leaves, (found, *wanted)), strict=True):
+        scale = max(np.abs(other).max() for other in others)
+        np.testing.assert_allclose(one / scale, np.stack(others) / scale, atol=2e-5)
 
 
 def test_pixels_are_read_as_fractions_of_255():
@@ -115,7 +117,7 @@ def test_pixels_are_read_as_fractions_of_255():
     pixels = jnp.asarray(rng.integers(0, 256, (9, 12, 12, 3), dtype=np.uint8))
     _, weights = network(rng, layers)
     floats = pixels / np.float32(255)
-    for lowering in (convolve_patches, convolve_native):
+    for lowering in (convolve, convolve_native):
         total = lambda w, x: jnp.sum(lowering(x, w, layers, "elu", (3,))[0])  # noqa: B023
         for one, other in zip(
             *(jax.tree.leaves(jax.grad(total)(weights, x)) for x in (pixels, floats)), strict=True
@@ -128,7 +130,7 @@ def test_maps_over_seeds_and_runs_in_a_loop():
     layers = LAYERS["SND"]
     parts = [network(rng, layers, batch=11) for _ in range(3)]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *parts)
-    one = lambda x, w: jnp.sum(convolve_patches(x, w, layers, "elu", (2, 3))[1] ** 2)
+    one = lambda x, w: jnp.sum(convolve(x, w, layers, "elu", (2, 3))[1] ** 2)
     mapped = jax.vmap(jax.grad(one, (0, 1)))(*stacked)
     for i, part in enumerate(parts):
         for got, wanted in zip(

@@ -14,9 +14,9 @@ import optax
 import pytest
 from builders import KINDS, frames, rollout
 
-from sndjax import ATARI, PROCGEN, VECTOR, Rollout, consecutive, convolution, grid, transitions
-from sndjax.convolution import convolve_patches  # before it is replaced
+from sndjax import ATARI, PROCGEN, VECTOR, Rollout, consecutive, grid, networks, transitions
 from sndjax.grid import COPYING, OBJECTIVES, SIGNALS
+from sndjax.networks import convolve  # before it is replaced
 
 # Signals with a loss of their own, and the name of its metric.
 TRAINED = dict.fromkeys(COPYING, "distillation_loss")
@@ -200,7 +200,7 @@ def fell(values, share=1.0):
 @pytest.fixture
 def quick_loops(monkeypatch):
     """Our convolutions, which in a loop are far faster than the native ones."""
-    monkeypatch.setattr(convolution, "convolve_patches", convolve_patches)
+    monkeypatch.setattr(networks, "convolve", convolve)
 
 
 @pytest.mark.usefixtures("quick_loops")

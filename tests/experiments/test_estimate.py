@@ -2,18 +2,18 @@ import jax
 import jax.numpy as jnp
 
 from experiments.estimate import operations, seconds
-from sndjax.convolution import Convolution, convolve_native, convolve_patches
+from sndjax.convolution import Convolution, convolve, convolve_native
 
 
 def test_patches_and_native_convolution_are_the_same_work():
     x, weights = jnp.ones((16, 12, 12, 3)), ((jnp.ones((3, 3, 3, 5)), jnp.ones(5)),)
     layers = (Convolution(5, stride=2),)
     by_hand = 2 * 16 * 6 * 6 * 5 * 3 * 3 * 3
-    for lowering in (convolve_patches, convolve_native):
+    for lowering in (convolve, convolve_native):
         program = jax.make_jaxpr(lambda w: lowering(x, w, layers, "relu", (0,)))(weights)  # noqa: B023
         assert operations(program.jaxpr) == by_hand
     training = jax.make_jaxpr(
-        jax.grad(lambda x, w: convolve_patches(x, w, layers, "relu", (0,))[0].sum(), (0, 1))
+        jax.grad(lambda x, w: convolve(x, w, layers, "relu", (0,))[0].sum(), (0, 1))
     )(x, weights)
     assert operations(training.jaxpr) == 3 * by_hand  # forward 1, backward 2
 

@@ -26,13 +26,38 @@ def test_runs_stop_at_their_share_of_the_time_and_go_on_when_called_again(tmp_pa
     assert 0 < reached[0] < reached[1] <= 1_003_520
 
 
-def test_side_by_side_each_has_the_whole_time_and_says_what_it_does_in_a_file(tmp_path, capsys):
-    out, algos = tmp_path / "out", ["ppo", "rnd"]
-    arguments = ["--cpu", "--minutes", "0.5", "--envs", "MountainCar", "--algos", ",".join(algos)]
-    assert main([*arguments, "--at-once", "2", "--out", str(out)]) == 0
-    assert "MountainCar ppo, MountainCar rnd: 0.5 minutes" in capsys.readouterr().out
-    for algo in algos:
-        assert list((out / "MountainCar" / algo / "checkpoints").iterdir())
-        said = (out / "MountainCar" / f"{algo}.log").read_text()
-        assert f"MountainCar {algo}, 1 seed(s)" in said
-        assert "step 4,096" in said
+RUN = """#!/bin/sh
+echo "begin $3 $4" >> {times}
+trap 'echo "end $3 $4" >> {times}; exit 143' TERM
+case "$*" in *algo=broken*) exit 1;; esac
+echo "says $*"
+sleep 60 & wait
+"""
+
+
+def test_side_by_side_all_train_at_once_and_say_what_they_do_in_files(tmp_path, monkeypatch):
+    times, stand_in = tmp_path / "times", tmp_path / "run"
+    stand_in.write_text(RUN.format(times=times))
+    stand_in.chmod(0o755)
+    monkeypatch.setattr(evidence.sys, "executable", str(stand_in))
+    cells = [("Venture", "ppo"), ("Venture", "broken"), ("Venture", "rnd")]
+    assert evidence.train(cells, tmp_path, 2.0, alone=False) == [0, 1, 0]
+    events = times.read_text().splitlines()
+    assert sorted(events[:3]) == [f"begin env=Venture algo={a}" for a in ("broken", "ppo", "rnd")]
+    assert sorted(events[3:]) == [f"end env=Venture algo={a}" for a in ("ppo", "rnd")]
+    assert "says -m experiments.run" in (tmp_path / "Venture" / "rnd.log").read_text()
+
+
+def test_rounds_share_the_minutes_and_a_run_that_broke_is_named(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def train(cells, out, seconds, alone):
+        asked.append(([algo for _, algo in cells], seconds, alone))
+        return [int(algo == "rnd") for _, algo in cells]
+
+    monkeypatch.setattr(evidence, "train", train)
+    monkeypatch.setattr("experiments.report.write", lambda *_, **__: None)
+    arguments = ["--cpu", "--minutes", "1", "--envs", "Venture", "--algos", "ppo,rnd,icm"]
+    assert main([*arguments, "--at-once", "2", "--out", str(tmp_path / "new" / "out")]) == 2
+    assert asked == [(["ppo", "rnd"], 30.0, False), (["icm"], 30.0, False)]
+    assert "ended by themselves: Venture rnd (status 1)" in capsys.readouterr().err
