@@ -2,10 +2,11 @@
 
 Takes the cells of conf/sweep/thesis.yaml (or sweep=NAME), the measured rates of docs/results/
 bench-cpu.json (and bench-gpu.json, where there is one), each algorithm's work per step and the
-size of its state, and says how long the sweep takes on two cores and on GPUs, what it holds in
-memory and on the disk, and what limits it. What was not measured is scaled by its work from what
-was. Where no GPU was measured, one is as fast as the environments that the cores beside it step,
-at the measured rate per core, and the table says how much of its arithmetic that takes.
+size of its state, and says how long the sweep takes on two cores and on GPUs, and what it holds
+in memory and on the disk. On two cores what was not measured is scaled by its work from what was;
+on a GPU it is as slow as the slowest that was. Where no GPU was measured, one is as fast as the
+environments that the cores beside it step, at the measured rate per core, and the page says how
+much of its arithmetic that takes; --cores and --gpu-tflops are for that alone.
 """
 
 import heapq
@@ -107,10 +108,16 @@ def report(options: Options) -> str:
 
     measured = json.loads(figures("cpu").read_text())
     path: Path = figures("gpu")
-    gpu = json.loads(path.read_text()) if path.exists() else {}
+    raw = json.loads(path.read_text()) if path.exists() else {}
+    # Whole iterations where they were timed; not of several seeds at once.
+    gpu: dict[str, float] = {
+        name: one.get("whole_steps_per_second", one["steps_per_second"])
+        for name, one in raw.items()
+        if one["num_seeds"] == 1
+    }
     stepping = [one["seconds_per_1000_steps"]["environment"] for one in measured.values()]
     pool = 1000 / median(stepping) / 2 * options.cores  # steps/s beside a GPU
-    slowest = min((one["steps_per_second"] for one in gpu.values()), default=pool)
+    slowest = min(gpu.values(), default=pool)
     lines = [
         "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | GPU memory, MB "
         "| disk, MB | hours on two cores | GPU hours |",
@@ -122,7 +129,7 @@ def report(options: Options) -> str:
     for (algo, family), kind in sorted(kinds_of(options.sweep).items()):
         known = algo if algo in measured else REFERENCE
         here = measured[known]["steps_per_second"] * weight(known, "Atari")[0] / kind.gflop
-        rate = gpu.get(algo, {}).get("steps_per_second", slowest)
+        rate = gpu.get(algo, slowest)
         needed = max(needed, rate * kind.gflop / 1e3)
         two_cores = kind.steps / here / HOUR
         on_gpu = kind.steps / rate / HOUR
@@ -147,10 +154,15 @@ def report(options: Options) -> str:
         f"{sum(fast):,.0f} hours on GPUs {how}; {disk / 1e3:,.0f} GB on the disk; "
         f"{resident:.1f} GB of memory for each run at once.",
         "",
-        f"A GPU keeps up with {options.cores} cores of environments as long as its learner "
-        f"reaches {needed:,.0f} TFLOP/s ({needed / options.gpu_tflops:.0%} of its TF32 peak) for "
-        "the heaviest algorithm; below that it is the limit.",
-        "",
+    ]
+    if not gpu:
+        lines += [
+            f"A GPU keeps up with {options.cores} cores of environments as long as its learner "
+            f"reaches {needed:,.0f} TFLOP/s ({needed / options.gpu_tflops:.0%} of its TF32 peak) "
+            "for the heaviest algorithm; below that it is the limit.",
+            "",
+        ]
+    lines += [
         "| GPUs | days | busy | memory, GB | the longest run, hours |",
         "|---|---|---|---|---|",
     ]
