@@ -84,6 +84,11 @@ def multirun(arguments: Sequence[str]) -> int:
     Raises:
       ConfigError: nothing of it can run.
     """
+    if not __debug__:
+        raise ConfigError(
+            "Hydra reads sweeps by way of asserts: unset PYTHONOPTIMIZE, and say "
+            "+hydra.job.env_set.PYTHONOPTIMIZE=1 for the sweep's runs to have it"
+        )
     own, hydras = cells.divided(arguments)
     hydra = asked_of_hydra(hydras)
     directory = Path(hydra.sweep.dir or default_directory(own, hydras)).resolve()

@@ -49,8 +49,8 @@ def test_the_overview_of_minigrid_is_of_the_same_figures():
     _, begin, rest = page.partition("| seeds of five that solve it")
     head, _, *shown = (begin + rest.partition("\n\n")[0]).splitlines()
     parts = lambda line: [part.strip() for part in line.strip("|").split("|")]
-    files = {"DoorKey-8x8": "doorkey", "MultiRoom-N6": "multiroom"}
-    files |= {"KeyCorridorS3R3": "keycorridor"}
+    files = {"DoorKey-8x8": "doorkey", "MultiRoom-N4-S5": "multiroom_n4"}
+    files |= {"MultiRoom-N6": "multiroom", "KeyCorridorS3R3": "keycorridor"}
     levels = [files.pop(level.partition(",")[0]) for level in parts(head)[1:]]
     assert not files  # each level has its column
     for column, level in enumerate(levels, start=1):

@@ -202,6 +202,14 @@ def test_a_sweep_of_which_nothing_can_run_is_refused(arguments, words, tmp_path)
     assert not (tmp_path / "sweep").exists()
 
 
+def test_without_asserts_a_sweep_is_refused_and_says_how_its_runs_can_do_without(tmp_path):
+    run = [sys.executable, "-O", "-m", "experiments.run", "-m", "env=MountainCar", "algo=rnd"]
+    done = subprocess.run([*run, "seed=range(2)"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "+hydra.job.env_set.PYTHONOPTIMIZE=1" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
 @needs("optuna")
 def test_a_search_maximises_what_its_cells_return(tmp_path):
     directory = tmp_path / "sweep"
