@@ -54,7 +54,7 @@ def ended(process: subprocess.Popen[bytes]) -> int:
     return 0 if status in (128 + signal.SIGTERM, -signal.SIGTERM) else status
 
 
-def train(cells: list[tuple[str, str]], out: Path, seconds: float, alone: bool = True) -> list[int]:
+def train(cells: list[tuple[str, str]], out: Path, seconds: float, alone: bool) -> list[int]:
     """Train side by side for so many seconds, from where the runs stand; their statuses.
 
     Each gets a SIGTERM, also where this process is stopped, and writes its checkpoint if it has

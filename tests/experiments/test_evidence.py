@@ -30,7 +30,7 @@ RUN = """#!/bin/sh
 echo "begin $3 $4" >> {times}
 trap 'echo "end $3 $4" >> {times}; exit 143' TERM
 case "$*" in *algo=broken*) exit 1;; esac
-echo "says $*"
+echo "says $4, all of the memory: $XLA_PYTHON_CLIENT_PREALLOCATE"
 sleep 60 & wait
 """
 
@@ -40,12 +40,14 @@ def test_side_by_side_all_train_at_once_and_say_what_they_do_in_files(tmp_path, 
     stand_in.write_text(RUN.format(times=times))
     stand_in.chmod(0o755)
     monkeypatch.setattr(evidence.sys, "executable", str(stand_in))
+    monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
     cells = [("Venture", "ppo"), ("Venture", "broken"), ("Venture", "rnd")]
     assert evidence.train(cells, tmp_path, 2.0, alone=False) == [0, 1, 0]
     events = times.read_text().splitlines()
     assert sorted(events[:3]) == [f"begin env=Venture algo={a}" for a in ("broken", "ppo", "rnd")]
     assert sorted(events[3:]) == [f"end env=Venture algo={a}" for a in ("ppo", "rnd")]
-    assert "says -m experiments.run" in (tmp_path / "Venture" / "rnd.log").read_text()
+    said = (tmp_path / "Venture" / "rnd.log").read_text()
+    assert said == "says algo=rnd, all of the memory: false\n"
 
 
 def test_rounds_share_the_minutes_and_a_run_that_broke_is_named(tmp_path, monkeypatch, capsys):
