@@ -27,4 +27,6 @@ def info_nce(temperature: float = 0.1) -> sndjax.Objective:
 
 def my_bonus(num_actions: int, size: sndjax.Architecture) -> sndjax.IntrinsicModule:
     """SND with it; `"noveld"` instead of `"distillation"` would be NovelD with it."""
-    return sndjax.cell(sndjax.Recipe(info_nce), "distillation", num_actions, size)
+    return sndjax.make_module_from_recipe(
+        sndjax.ObjectiveRecipe(info_nce), "distillation", num_actions, size
+    )

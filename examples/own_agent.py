@@ -30,7 +30,7 @@ def train(eta, seed=0, iterations=150):
     def loss(agent, state, at, action, rollout, advantage, key):
         log_p = jax.nn.log_softmax(10 * agent["table"])
         reinforce = -jnp.mean(log_p[at[:-1], action] * advantage)
-        rows = sndjax.transitions(rollout, jnp.arange(action.size))
+        rows = sndjax.gather_transitions(rollout, jnp.arange(action.size))
         return reinforce + module.loss(agent["module"], state, rows, rollout, key)[0]
 
     @jax.jit

@@ -1,1 +1,1 @@
-"""The laboratory: everything with a side effect, on top of the library `sndjax`."""
+"""The laboratory: everything with a side effect, on top of the library `sndjax`. See `cli.py`."""

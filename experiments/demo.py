@@ -1,44 +1,62 @@
-"""`make demo`: what a novelty bonus changes, in seconds, with a picture of it."""
+"""Show what a novelty bonus changes, in seconds, with a picture of it: sndjax demo
 
-import json
+Trains PPO and SND-VIC on MountainCar with reward only at the goal, three seeds each, and draws
+their learning curves together.
+"""
+
 import secrets
 import subprocess
-import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
+from .config.schema import option
+from .config.tool_options import run_command
+from .system.errors import ConfigError
+from .system.process import run_script
+from .system.subprocesses import child_environment, command_line
+
 ALGORITHMS = ("ppo", "snd_vic")
-SEEDS = 3
-STEPS = 1_000_000
 
 
-def main() -> int:
-    """Train every algorithm on MountainCar and draw their learning curves together."""
+@dataclass(frozen=True)
+class Options:
+    """The options of the command."""
+
+    seeds: int = option(3, "agents of each algorithm", low=1)
+    steps: int = option(1_000_000, "that each agent takes", low=1)
+
+
+def demo(paths: list[Path], options: Options) -> None:
+    """Train both algorithms, and draw their learning curves together."""
     root = Path("runs") / "demo" / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
     runs = {algo: root / algo for algo in ALGORITHMS}
     print("MountainCar, reward 1 at the goal and 0 elsewhere: does it ever get there?")
     for algo, run in runs.items():
-        command = [sys.executable, "-m", "experiments.run", "env=MountainCar", f"algo={algo}"]
-        command += [f"num_seeds={SEEDS}", f"total_steps={STEPS}", f"run_dir={run}"]
-        print(f"\n$ {' '.join(['python', *command[1:]])}", flush=True)
-        status = subprocess.run(command, check=False).returncode
-        if status:
-            return status
-    from experiments.curves import draw
-    from experiments.finished import find, grouped
+        arguments = ["env=MountainCar", f"algo={algo}", f"num_seeds={options.seeds}"]
+        arguments += [f"total_steps={options.steps}", f"run_dir={run}"]
+        print(f"\n$ sndjax {' '.join(arguments)}", flush=True)
+        command = command_line("run", *arguments)
+        if status := subprocess.run(command, env=child_environment(), check=False).returncode:
+            raise ConfigError(f"the run in {run} ended with status {status}")
+    from .reporting.learning_curves import draw_curves
+    from .storage.read_runs import find_runs, group_runs, read_summary
 
-    groups = grouped(find([root])[0])
+    groups = group_runs(find_runs([root])[0])
     title = "MountainCar, reward only at the goal"
-    picture = draw(groups, "last100", title, root, "curves")
-    assert picture is not None
+    picture = draw_curves(groups, "last100", title, root, "curves")
     print()
     for algo, run in runs.items():
-        seeds = json.loads((run / "summary.json").read_text())["seeds"]
-        shares = ", ".join(f"{seed['last100_ext_return']:.0%}" for seed in seeds)
+        shares = ", ".join(f"{seed['last100_ext_return']:.0%}" for seed in read_summary(run))
         print(f"{algo:<8} last 100 episodes that reach the goal, by seed: {shares}")
-    print(f"\npicture: {picture.resolve()}")
-    return 0
+    if picture is not None:
+        print(f"\npicture: {picture.resolve()}")
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command, and return its exit status."""
+    return run_command(__doc__, Options, demo, arguments, paths="none")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_script(main)

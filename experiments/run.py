@@ -1,120 +1,102 @@
-"""python -m experiments.run env=Venture algo=snd_std: one run from one command.
+"""Train one agent, or a sweep of them: sndjax env=Venture algo=snd_std.
 
-Only the configuration is read before anything heavy is imported, so that bad input is
-refused in a moment.
+Only the configuration is read before anything heavy is imported, so that bad input is refused in a
+moment.
 """
 
 import os
-import sys
+from collections.abc import Sequence
 from contextlib import suppress
 
-from experiments.config import help_text, load
-from experiments.directory import Directory, Elsewhere
-from experiments.interrupts import Interrupted, Interrupts
-from experiments.options import Config, ConfigError
-from experiments.process import before_jax
-from experiments.stored import CONFIG
+from .config.compose import load_config
+from .config.help import run_help
+from .config.saved import CONFIG
+from .config.schema import Config
+from .config.tool_options import asks_for_help
+from .storage.run_directory import FollowerDirectory, RunDirectory
+from .system.errors import ConfigError, print_error
+from .system.interrupts import Interrupted, Interrupts
+from .system.process import configure_xla, run_script
 
 
-def refuse(error: object, status: int = 2) -> int:
-    """Say in one line what was wrong."""
-    print(f"sndjax: {' '.join(str(error).split())}", file=sys.stderr)
-    return status
-
-
-def how_to_go_on(directory: Directory | Elsewhere | None) -> str:
-    """The option that goes on with what stands in the directory, if anything does."""
+def resume_hint(directory: RunDirectory | FollowerDirectory | None) -> str:
+    """Return how to resume what is in the directory, or "" where there is nothing to resume."""
     path = directory.shared if directory else None
-    return f"; go on with resume={path}" if path and (path / CONFIG).exists() else ""
+    return f"; to resume: resume={path}" if path and (path / CONFIG).exists() else ""
 
 
-def console() -> None:
-    """The `sndjax` script."""
-    try:
-        status = main()
-        sys.stdout.flush()
-    except BrokenPipeError:  # nobody reads any more
-        status = 1
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    sys.stderr.flush()
-    if status > 128 and "experiments.training" in sys.modules:
-        os._exit(status)  # an update that was broken off may have minutes to go: do not wait
-    sys.exit(status)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command; returns its exit status.
+def main(arguments: Sequence[str]) -> int:
+    """Train what the arguments ask for, and return the exit status.
 
     0 done; 1 stopped by a full disk or by a number that is not finite; 2 bad input; 130 and 143
     stopped by SIGINT and SIGTERM.
     """
-    arguments = sys.argv[1:] if arguments is None else arguments
-    if any(argument in ("-h", "--help", "help") for argument in arguments):
-        print(help_text())
+    if asks_for_help(arguments):
+        print(run_help())
         return 0
     if set(arguments) & {"-m", "--multirun"}:
-        from experiments.sweep import multirun
+        from .sweeps.multirun import multirun
 
         try:
             return multirun(arguments)
         except ConfigError as error:
-            return refuse(error)
+            return print_error(error)
     with Interrupts() as interrupts:
-        return run(arguments, interrupts)
+        return train(list(arguments), interrupts)
 
 
-def place(config: Config) -> Directory | Elsewhere:
-    """Where this process writes; of several processes of a run the first has the directory.
+def open_run_directory(config: Config) -> RunDirectory | FollowerDirectory:
+    """Return the directory that this process writes to; of several processes the first has the run's.
 
     Raises:
       ConfigError: it cannot be written to; all processes are told.
     """
     if not config.distributed:
-        return Directory(config)
+        return RunDirectory(config)
     if config.run_dir is None:
         raise ConfigError("distributed=true needs run_dir=DIRECTORY, one that all hosts see")
-    before_jax()
+    configure_xla()
     import jax
 
-    from experiments.devices import agree, join_hosts
+    from .training.placement import assert_equal_on_hosts, join_hosts
 
     join_hosts()
     leads, refused = jax.process_index() == 0, None
     try:
-        found = Directory(config) if leads else Elsewhere(config)
+        found = RunDirectory(config) if leads else FollowerDirectory(config)
     except ConfigError as error:
         refused = error
     if refused is None:
-        agree(0, "were refused")
+        assert_equal_on_hosts(0, "were refused")
     else:
         with suppress(ConfigError):
-            agree(1, "were refused")
+            assert_equal_on_hosts(1, "were refused")
         raise refused
     if not leads:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # one display for all
     return found
 
 
-def run(arguments: list[str], interrupts: Interrupts) -> int:
-    """The run that the arguments ask for; its exit status."""
-    directory: Directory | Elsewhere | None = None
+def train(arguments: list[str], interrupts: Interrupts) -> int:
+    """Train the run that the arguments ask for, and return its exit status."""
+    directory: RunDirectory | FollowerDirectory | None = None
     try:
-        config = load(arguments)
-        directory = place(config)
-        before_jax()
-        from experiments.training import train
+        config = load_config(arguments)
+        directory = open_run_directory(config)
+        configure_xla()
+        from .training.trainer import train
 
         train(config, directory, interrupts)
     except ConfigError as error:
         if directory is not None:
-            directory.abandon()
-        return refuse(error)
+            directory.discard()
+        return print_error(error)
     except FloatingPointError as error:  # it says how to see why
-        return refuse(error, 1)
+        return print_error(error, 1)
     except OSError as error:
-        return refuse(f"cannot write the run: {error}{how_to_go_on(directory)}", 1)
+        return print_error(f"cannot write the run: {error}{resume_hint(directory)}", 1)
     except Interrupted as stopped:
-        return refuse(f"interrupted{how_to_go_on(directory)}", stopped.status)
+        return print_error(f"interrupted{resume_hint(directory)}", stopped.status)
     finally:
         if directory is not None:
             directory.close()
@@ -122,4 +104,4 @@ def run(arguments: list[str], interrupts: Interrupts) -> int:
 
 
 if __name__ == "__main__":
-    console()
+    run_script(main)

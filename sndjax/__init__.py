@@ -1,14 +1,18 @@
 """sndjax: intrinsic motivation in JAX as pure functions, objectives x novelty signals.
 
+A module is four pure functions: `init`, `reward`, `loss` and `update`; see `IntrinsicModule`.
+
 >>> import jax, jax.numpy as jnp
 >>> import sndjax
 >>> module = sndjax.snd_vic(num_actions=3, size=sndjax.VECTOR)
 >>> params, state = module.init(jax.random.key(0), jnp.zeros((1, 2)))
 """
 
-from sndjax.acting import Actor, Agent, Decision, Motivation, act
+from sndjax.acting import Actor, ActOutput, AgentSpec, IntrinsicConfig, act
+from sndjax.algorithm_table import ALGORITHMS
 from sndjax.algorithms import (
     icm,
+    make_named,
     qrnd,
     rnd,
     snd_barlow,
@@ -21,18 +25,18 @@ from sndjax.algorithms import (
     sp_vic,
     sp_vinv,
 )
-from sndjax.grid import Recipe, cell, grid
+from sndjax.grid import ObjectiveRecipe, make_module, make_module_from_recipe
 from sndjax.guard import all_finite, skip_nonfinite
-from sndjax.module import compose
+from sndjax.module import make_intrinsic_module
 from sndjax.networks import (
     ATARI,
+    MLP,
     PROCGEN,
     SMALL,
     VECTOR,
     ActorCritic,
     Architecture,
     Encoder,
-    Perceptron,
 )
 from sndjax.objectives.barlow_twins import barlow_twins, barlow_twins_loss
 from sndjax.objectives.byol import byol, byol_distance
@@ -43,7 +47,7 @@ from sndjax.objectives.vicreg import vicreg, vicreg_loss
 from sndjax.objectives.vicreg_inverse import vicreg_inverse
 from sndjax.ppo import Hyperparameters, clipped_surrogate
 from sndjax.returns import generalized_advantage
-from sndjax.rollout import Stack, consecutive, transitions
+from sndjax.rollout import FrameStack, gather_transitions, slice_transitions
 from sndjax.scaling import scale_reward
 from sndjax.signals.disagreement import disagreement, ensemble_variance
 from sndjax.signals.distillation import distillation, distillation_error, distillation_loss
@@ -54,52 +58,66 @@ from sndjax.signals.prediction import prediction, prediction_error, prediction_l
 from sndjax.signals.re3 import neighbour_distance, re3
 from sndjax.signals.simhash import simhash
 from sndjax.statistics import masked_mean
-from sndjax.train import init, make_train_step
+from sndjax.train import init_train_state, make_train_step
 from sndjax.types import (
-    Average,
+    Encode,
+    EncoderView,
     Experience,
     Features,
     IntrinsicModule,
-    Moments,
+    Loss,
+    ModuleParams,
+    ModuleState,
     Objective,
-    ReturnScale,
+    Params,
+    ReturnStatistics,
     Rollout,
+    RunningStatistics,
     Signal,
+    State,
+    TargetNetwork,
     TrainState,
     Transition,
-    View,
 )
 from sndjax.version import __version__
 from sndjax.weighted_sum import weighted_sum
 
 __all__ = [
+    "ALGORITHMS",
+    "Encode",
+    "Loss",
+    "ModuleParams",
+    "ModuleState",
+    "Params",
+    "State",
+    "make_named",
     "ATARI",
     "PROCGEN",
     "SMALL",
     "VECTOR",
     "Actor",
     "ActorCritic",
-    "Agent",
+    "AgentSpec",
     "Architecture",
-    "Average",
-    "Decision",
+    "TargetNetwork",
+    "ActOutput",
     "Encoder",
     "Experience",
     "Features",
     "Hyperparameters",
     "IntrinsicModule",
-    "Moments",
-    "Motivation",
+    "RunningStatistics",
+    "IntrinsicConfig",
     "Objective",
-    "Perceptron",
-    "Recipe",
-    "ReturnScale",
+    "MLP",
+    "ObjectiveRecipe",
+    "ReturnStatistics",
     "Rollout",
     "Signal",
-    "Stack",
+    "FrameStack",
     "TrainState",
     "Transition",
-    "View",
+    "EncoderView",
     "__version__",
     "act",
     "all_finite",
@@ -107,10 +125,10 @@ __all__ = [
     "barlow_twins_loss",
     "byol",
     "byol_distance",
-    "cell",
+    "make_module_from_recipe",
     "clipped_surrogate",
-    "compose",
-    "consecutive",
+    "make_intrinsic_module",
+    "slice_transitions",
     "contrastive",
     "contrastive_loss",
     "disagreement",
@@ -121,9 +139,9 @@ __all__ = [
     "elliptical_bonus",
     "ensemble_variance",
     "generalized_advantage",
-    "grid",
+    "make_module",
     "icm",
-    "init",
+    "init_train_state",
     "inverse_dynamics",
     "inverse_dynamics_loss",
     "make_train_step",
@@ -152,7 +170,7 @@ __all__ = [
     "sp_vinv",
     "st_dim",
     "st_dim_loss",
-    "transitions",
+    "gather_transitions",
     "vicreg",
     "vicreg_inverse",
     "vicreg_loss",

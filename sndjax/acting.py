@@ -10,14 +10,14 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax import ppo
 from sndjax.networks import ActorCritic
-from sndjax.rollout import Stack, channels, push
+from sndjax.rollout import FrameStack, push_frame, stack_to_channels
 from sndjax.scaling import RewardScale
-from sndjax.statistics import deviation
-from sndjax.types import IntrinsicModule, Moments, Params
+from sndjax.statistics import std
+from sndjax.types import IntrinsicModule, Params, RunningStatistics
 
 
-class Motivation(NamedTuple):
-    """A novelty module and how its signal and its training are used."""
+class IntrinsicConfig(NamedTuple):
+    """An intrinsic module, and how its signal and its training are used."""
 
     module: IntrinsicModule
     eta: float = 0.5
@@ -27,33 +27,33 @@ class Motivation(NamedTuple):
     shuffle: bool = False  # False: minibatches are runs of consecutive time steps
 
 
-class Agent(NamedTuple):
+class AgentSpec(NamedTuple):
     """Everything about an agent that learning does not change."""
 
     network: ActorCritic
     ppo: ppo.Hyperparameters
-    motivation: Motivation | None = None  # None: plain PPO with one value head
-    stack: Stack = Stack()
+    intrinsic: IntrinsicConfig | None = None  # None: plain PPO with one value head
+    stack: FrameStack = FrameStack()
     unbounded: tuple[bool, ...] = ()  # which components of a vector have no bounds
     random_action: float = 0.0  # the share of actions that the environment gets at random
 
     def optimizers(self) -> tuple[optax.GradientTransformation, optax.GradientTransformation]:
-        """Adam for the policy, with its gradient norm clipped, and for the module."""
+        """Return Adam for the policy, with its gradient norm clipped, and for the module."""
         policy = optax.chain(
             optax.clip_by_global_norm(self.ppo.max_grad_norm), optax.adam(self.ppo.learning_rate)
         )
-        return policy, optax.adam(self.motivation.learning_rate if self.motivation else 0.0)
+        return policy, optax.adam(self.intrinsic.learning_rate if self.intrinsic else 0.0)
 
 
 class Actor(NamedTuple):
     """The part of a `TrainState` that acting needs."""
 
     policy: Params
-    observations: Moments
+    observations: RunningStatistics
     key: PRNGKeyArray
 
 
-class Decision(NamedTuple):
+class ActOutput(NamedTuple):
     """What a policy did at one time step."""
 
     action: Int[Array, " N"]
@@ -63,45 +63,58 @@ class Decision(NamedTuple):
 
 
 def scale_vectors(
-    frames: Shaped[Array, "*rows D"], moments: Moments, unbounded: tuple[bool, ...]
+    frames: Shaped[Array, "*rows D"], moments: RunningStatistics, unbounded: tuple[bool, ...]
 ) -> Shaped[Array, "*rows D"]:
-    """Vectors with their unbounded components divided by the running deviation."""
+    """Divide the unbounded components of vectors by their running standard deviation.
+
+    Args:
+      frames: vectors; pixels are returned as they are.
+      moments: the running statistics of vectors.
+      unbounded: which components have no bounds.
+    """
     if not any(unbounded):
         return frames
-    scale = jnp.where(np.array(unbounded), deviation(moments), 1.0)
+    scale = jnp.where(np.array(unbounded), std(moments), 1.0)
     return frames / scale.reshape((1,) * (frames.ndim - 1) + (-1,))
 
 
 def forward(
     network: ActorCritic, params: Params, stacked: Shaped[Array, "B *stack"]
 ) -> tuple[Float[Array, "B A"], Float[Array, "B K"]]:
-    """Logits and values of a batch of stacks."""
+    """Compute logits and values of a batch of stacks.
+
+    Args:
+      network: the policy.
+      params: its weights.
+      stacked: frames of a stack on the last axis.
+    """
     return cast(tuple[Array, Array], network.apply(params, stacked))
 
 
 def act(
-    agent: Agent,
+    agent: AgentSpec,
     actor: Actor,
     window: Shaped[Array, "S N *frame"],
     frame: Shaped[Array, "N *frame"],
     first: Bool[Array, " N"],
     step: Int[Array, ""],
-) -> tuple[Decision, Shaped[Array, "S N *frame"]]:
+) -> tuple[ActOutput, Shaped[Array, "S N *frame"]]:
     """Push the newest frame onto the stack and sample an action from the policy.
 
     Args:
-      agent, actor: whose policy.
+      agent: what acts.
+      actor: its weights and its key.
       window: the stack before this frame.
       frame: the newest observation of every environment.
       first: where it opens an episode.
       step: the time step within the rollout; with the actor's key it seeds the draw.
 
     Returns:
-      The decision and the stack with this frame.
+      What the policy did, and the stack with this frame.
     """
-    window = push(window, frame, first, agent.stack.repeat)
+    window = push_frame(window, frame, first, agent.stack.repeat)
     seen = scale_vectors(window, actor.observations, agent.unbounded)
-    logits, value = forward(agent.network, actor.policy, channels(seen))
+    logits, value = forward(agent.network, actor.policy, stack_to_channels(seen))
     key = jax.random.fold_in(jax.random.fold_in(actor.key, 1), step)
     key_action, key_random, key_which = jax.random.split(key, 3)
     action = jax.random.categorical(key_action, logits)
@@ -110,4 +123,4 @@ def act(
         instead = jax.random.randint(key_which, action.shape, 0, agent.network.num_actions)
         replaced = jax.random.bernoulli(key_random, agent.random_action, action.shape)
         executed = jnp.where(replaced, instead, action)
-    return Decision(action, executed, ppo.log_prob(logits, action), value), window
+    return ActOutput(action, executed, ppo.log_prob(logits, action), value), window

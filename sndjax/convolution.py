@@ -1,6 +1,6 @@
-"""The one place that knows how a convolution is lowered.
+"""The convolution implementation: patches times weights.
 
-It is patches times weights. On a CPU a few images go through all layers before the next do:
+On a CPU a few images go through all layers before the next do:
 what one layer hands to the next stays in the cache, and unlike XLA's native CPU convolution
 the products are as fast inside a loop as outside one. Elsewhere a minibatch goes through whole.
 On a GPU the native convolution would be 7% faster for one agent, but under vmap over agents,
@@ -10,7 +10,7 @@ another (docs/results/speed.md). The tests hold the two equal.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Shaped
 
-CACHED = 8  # images that are in a CPU's cache at once
-TOGETHER = 1024  # images at once elsewhere: any minibatch of the thesis
+CPU_SLICE = 8  # images that are in a CPU's cache at once
+DEVICE_SLICE = 1024  # images at once elsewhere: any minibatch of the thesis
 
 
 class Convolution(NamedTuple):
@@ -48,7 +48,7 @@ SLOPES: dict[str, Callable[[Array], Array]] = {
 
 
 def to_float(x: Shaped[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Pixels `uint8` become `float32` in [0, 1]; anything else passes through.
+    """Convert pixels `uint8` to `float32` in [0, 1]; return anything else as it is.
 
     >>> to_float(jnp.array([0, 255], jnp.uint8))
     Array([0., 1.], dtype=float32)
@@ -57,7 +57,7 @@ def to_float(x: Shaped[Array, "*shape"]) -> Float[Array, "*shape"]:
 
 
 def patches(x: Shaped[Array, "B H W C"], layer: Convolution) -> Float[Array, "B I J K"]:
-    """The neighbourhoods that a layer weighs, K = size * size * C, as floats."""
+    """Gather the neighbourhoods that a layer weighs, K = size * size * C, as floats."""
     _, size, stride, padding = layer
     _, height, width, _ = x.shape
     rows = (height + 2 * padding - size) // stride + 1
@@ -79,22 +79,34 @@ def patches(x: Shaped[Array, "B H W C"], layer: Convolution) -> Float[Array, "B 
 
 
 def slice_count(images: int) -> int:
-    """Into how many slices of the same size so many images go."""
-    return -(-images // (CACHED if jax.default_backend() == "cpu" else TOGETHER))
+    """Return into how many slices of the same size so many images go."""
+    return -(-images // (CPU_SLICE if jax.default_backend() == "cpu" else DEVICE_SLICE))
 
 
 def slices(x: Shaped[Array, "B *rest"]) -> Shaped[Array, "M m *rest"]:
-    """A batch cut into the slices that are worked on one after another."""
+    """Cut a batch into the slices that are worked on one after another."""
     return x.reshape(slice_count(x.shape[0]), -1, *x.shape[1:])
 
 
-def whole(x: Shaped[Array, "M m *rest"]) -> Shaped[Array, "B *rest"]:
-    """The batch again."""
+def merge_slices(x: Shaped[Array, "M m *rest"]) -> Shaped[Array, "B *rest"]:
+    """Join slices to a batch."""
     return x.reshape(-1, *x.shape[2:])
 
 
-def through(images: Array, weights: Weights, layers: Layers, activation: Activation):
-    """One slice's maps, activation(patches times weights + bias) of each layer, and its patches."""
+def apply_layers(
+    images: Array, weights: Weights, layers: Layers, activation: Activation
+) -> tuple[list[Array], list[Array]]:
+    """Apply the layers to one slice.
+
+    Args:
+      images: the slice, channels last.
+      weights: of each layer.
+      layers: their sizes.
+      activation: after each layer.
+
+    Returns:
+      The maps, activation(patches times weights + bias) of each layer, and the patches.
+    """
     maps, gathered = [], []
     for (kernel, bias), layer in zip(weights, layers, strict=True):
         gathered.append(patches(images, layer))
@@ -104,46 +116,93 @@ def through(images: Array, weights: Weights, layers: Layers, activation: Activat
     return maps, gathered
 
 
-def chosen(maps: list[Array], wanted: tuple[int, ...]) -> tuple[Array, ...]:
-    """The maps of the wanted layers, counted from the first."""
-    return tuple(maps[i] for i in wanted)
+def select_outputs(maps: list[Array], output_layers: tuple[int, ...]) -> tuple[Array, ...]:
+    """Return the maps of some layers, counted from the first."""
+    return tuple(maps[i] for i in output_layers)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3, 4))
-def sliced(x: Array, weights: Weights, layers: Layers, activation: Activation, wanted):
-    """The layers on a batch of whole slices, slice by slice."""
-    apply = lambda images: chosen(through(images, weights, layers, activation)[0], wanted)
-    return jax.tree.map(whole, lax.map(apply, slices(x)))
+def conv_in_slices(
+    x: Array,
+    weights: Weights,
+    layers: Layers,
+    activation: Activation,
+    output_layers: tuple[int, ...],
+) -> tuple[Array, ...]:
+    """Apply the layers to a batch of whole slices, slice by slice. See `convolve`.
+
+    Args:
+      x: images.
+      weights: of each layer.
+      layers: their sizes.
+      activation: after each layer.
+      output_layers: the layers whose maps are returned.
+    """
+
+    def apply(images: Array) -> tuple[Array, ...]:
+        maps, _ = apply_layers(images, weights, layers, activation)
+        return select_outputs(maps, output_layers)
+
+    return jax.tree.map(merge_slices, lax.map(apply, slices(x)))
 
 
-def sliced_forward(x, weights, layers, activation, wanted):
-    """The wanted maps, and what the backward pass needs.
+def conv_in_slices_forward(
+    x: Array,
+    weights: Weights,
+    layers: Layers,
+    activation: Activation,
+    output_layers: tuple[int, ...],
+) -> tuple[tuple[Array, ...], Any]:
+    """Apply the layers, and keep what the backward pass needs.
 
     That is every map but the first one, which is the largest and the cheapest to make again.
+
+    Args:
+      x: images.
+      weights: of each layer.
+      layers: their sizes.
+      activation: after each layer.
+      output_layers: the layers whose maps are returned.
+
+    Returns:
+      The maps, and the images, the weights and the kept maps.
     """
-    again = 0 if 0 in wanted else 1
-    apply = lambda images: through(images, weights, layers, activation)[0][again:]
-    maps = jax.tree.map(whole, lax.map(apply, slices(x)))
-    return chosen([x] * again + maps, wanted), (x, weights, maps)
+    again = 0 if 0 in output_layers else 1
+    apply = lambda images: apply_layers(images, weights, layers, activation)[0][again:]
+    maps = jax.tree.map(merge_slices, lax.map(apply, slices(x)))
+    return select_outputs([x] * again + maps, output_layers), (x, weights, maps)
 
 
-def sliced_backward(layers, activation, wanted, kept, gradients):
-    """The gradients in x (none for pixels) and in the weights, slice by slice.
+def conv_in_slices_backward(
+    layers: Layers,
+    activation: Activation,
+    output_layers: tuple[int, ...],
+    kept: Any,
+    gradients: tuple[Array, ...],
+) -> tuple[Any, Any]:
+    """Compute the gradients in x (none for pixels) and in the weights, slice by slice.
 
     The slope of an activation is read off its output; patches are made again.
+
+    Args:
+      layers: their sizes.
+      activation: after each layer.
+      output_layers: the layers whose maps were returned.
+      kept: by the forward pass.
+      gradients: of the returned maps.
     """
     x, weights, maps = kept
     again = len(layers) - len(maps)
     pixels = x.dtype == jnp.uint8
 
-    def step(total, part):
+    def step(total: Any, part: Any) -> tuple[Any, Array | None]:
         images, maps, gradients = part
-        made, gathered = through(images, weights[:again], layers[:again], activation)
+        made, gathered = apply_layers(images, weights[:again], layers[:again], activation)
         maps = [images, *made, *maps]
         found, gradient = [], jnp.zeros_like(maps[-1])
         for i in reversed(range(len(layers))):
             kernel = weights[i][0].reshape(-1, layers[i].channels)
-            own = [g for j, g in zip(wanted, gradients, strict=True) if j == i]
+            own = [g for j, g in zip(output_layers, gradients, strict=True) if j == i]
             gradient = sum(own, gradient) * SLOPES[activation](maps[i + 1])
             flat = gradient.reshape(-1, layers[i].channels)
             seen = gathered[i] if i < again else patches(maps[i], layers[i])
@@ -151,23 +210,38 @@ def sliced_backward(layers, activation, wanted, kept, gradients):
             found.append((columns @ flat, jnp.sum(flat, axis=0)))
             if i or not pixels:
                 back = (flat @ kernel.T).reshape(seen.shape)
-                spread = jax.linear_transpose(partial(patches, layer=layers[i]), maps[i])
-                (gradient,) = spread(back)
+                scatter = jax.linear_transpose(partial(patches, layer=layers[i]), maps[i])
+                (gradient,) = scatter(back)
         return jax.tree.map(jnp.add, total, found[::-1]), None if pixels else gradient
 
     start = [(jnp.zeros_like(k.reshape(-1, k.shape[-1])), jnp.zeros_like(b)) for k, b in weights]
     parts = jax.tree.map(slices, (x, maps, gradients))
-    total, d_x = lax.scan(step, start, parts)
-    d_x = np.zeros(x.shape, jax.dtypes.float0) if pixels else whole(d_x)
+    back: Any
+    total, back = lax.scan(step, start, parts)
+    d_x: Any = np.zeros(x.shape, jax.dtypes.float0) if pixels else merge_slices(back)
     shaped = [(k.reshape(w.shape), b) for (k, b), (w, _) in zip(total, weights, strict=True)]
     return d_x, tuple(shaped)
 
 
-sliced.defvjp(sliced_forward, sliced_backward)
+conv_in_slices.defvjp(conv_in_slices_forward, conv_in_slices_backward)
 
 
-def convolve_native(x, weights, layers, activation, wanted):
-    """The same as XLA's own operation, layer by layer: what `convolve` is held to in the tests."""
+def convolve_native(
+    x: Array,
+    weights: Weights,
+    layers: Layers,
+    activation: Activation,
+    output_layers: tuple[int, ...],
+) -> tuple[Array, ...]:
+    """Apply XLA's own operation, layer by layer: the tests hold `convolve` to it.
+
+    Args:
+      x: images.
+      weights: of each layer.
+      layers: their sizes.
+      activation: after each layer.
+      output_layers: the layers whose maps are returned.
+    """
     maps = []
     x = to_float(x).astype(weights[0][0].dtype)
     for (kernel, bias), layer in zip(weights, layers, strict=True):
@@ -180,7 +254,7 @@ def convolve_native(x, weights, layers, activation, wanted):
         )
         x = ACTIVATIONS[activation](x + bias[None, None, None, :])
         maps.append(x)
-    return chosen(maps, wanted)
+    return select_outputs(maps, output_layers)
 
 
 def convolve(
@@ -188,9 +262,9 @@ def convolve(
     weights: Weights,
     layers: Layers,
     activation: Activation,
-    wanted: tuple[int, ...],
+    output_layers: tuple[int, ...],
 ) -> tuple[Float[Array, "B I J O"], ...]:
-    """Convolutional layers, one after another: each activation(x * kernel + bias).
+    """Apply convolutional layers, one after another: each activation(x * kernel + bias).
 
     `*` is the cross-correlation.
 
@@ -199,10 +273,10 @@ def convolve(
       weights: of each layer its kernel `[k, k, C, O]` and its bias `[O]`.
       layers: of each layer its channels O, its kernel side k, its stride and its padding.
       activation: "elu", "relu" or "none".
-      wanted: the layers whose maps are returned, counted from 0.
+      output_layers: the layers whose maps are returned, counted from 0.
 
     Returns:
-      The wanted maps `[B, I, J, O]`, `I = (H + 2 * padding - k) // stride + 1`, `J` likewise.
+      Their maps `[B, I, J, O]`, `I = (H + 2 * padding - k) // stride + 1`, `J` likewise.
 
     >>> layers = Convolution(5, stride=2), Convolution(7)
     >>> weights = (jnp.ones((3, 3, 1, 5)), jnp.zeros(5)), (jnp.ones((3, 3, 5, 7)), jnp.zeros(7))
@@ -212,4 +286,4 @@ def convolve(
     count = x.shape[0]
     short = -count % slice_count(count)
     x = jnp.pad(x, ((0, short), (0, 0), (0, 0), (0, 0)))
-    return tuple(y[:count] for y in sliced(x, weights, layers, activation, wanted))
+    return tuple(y[:count] for y in conv_in_slices(x, weights, layers, activation, output_layers))

@@ -1,4 +1,4 @@
-"""An iteration whose numbers go wrong, left out as if it had not been collected."""
+"""Skip updates that produce NaN or Inf."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ TrainStep = Callable[[TrainState, Experience], tuple[TrainState, Metrics, Float[
 
 
 def all_finite(tree: Any) -> Bool[Array, ""]:
-    """Whether every floating-point number of a pytree is finite.
+    """Return whether every floating-point number of a pytree is finite.
 
     >>> all_finite({"a": jnp.ones(2), "n": jnp.arange(3)}), all_finite([jnp.array(jnp.nan)])
     (Array(True, dtype=bool), Array(False, dtype=bool))
@@ -23,14 +23,16 @@ def all_finite(tree: Any) -> Bool[Array, ""]:
 
 
 def skip_nonfinite(train_step: TrainStep) -> TrainStep:
-    """`train_step`, but a state that is not finite afterwards stays as it was.
+    """Wrap `train_step`: a state that would not be finite afterwards stays as it was.
 
-    Only its key and its count of iterations move on. The metrics gain `skipped`, 1 or 0, and
+    Only its key and its count of iterations move. The metrics gain `skipped`, 1 or 0, and
     keep what was not finite; intrinsic rewards that were not are 0. Costs the memory of a
     second state.
     """
 
-    def guarded(state: TrainState, batch: Experience):
+    def guarded(
+        state: TrainState, batch: Experience
+    ) -> tuple[TrainState, Metrics, Float[Array, "T N"]]:
         new, metrics, reward = train_step(state, batch)
         fine = all_finite((new._replace(key=jnp.zeros(())), metrics))
         kept = jax.tree.map(lambda new, old: jnp.where(fine, new, old), new, state)

@@ -9,14 +9,20 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 
 def random_projection(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "d k"]:
-    """A Gaussian map that keeps lengths on average: entries of variance 1/outputs."""
+    """Draw a Gaussian map that keeps lengths on average: entries of variance 1/outputs.
+
+    Args:
+      key: of the draw.
+      inputs: d.
+      outputs: k.
+    """
     return jax.random.normal(key, (inputs, outputs), jnp.float32) / math.sqrt(outputs)
 
 
 def simhash_code(
     z: Float[Array, "*rows d"], projection: Float[Array, "d k"]
 ) -> Int[Array, "*rows"]:
-    """The k signs of z A read as a number below 2^k: Phi(s) = sgn(A g(s)) of eq. 4.18.
+    """Compute the k signs of z A as a number below 2^k: Phi(s) = sgn(A g(s)) of eq. 4.18.
 
     >>> simhash_code(jnp.array([[1.0, -1.0], [-1.0, 1.0]]), jnp.eye(2))
     Array([1, 2], dtype=int32)

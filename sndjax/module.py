@@ -1,21 +1,72 @@
 """An encoder, an objective and a signal make an intrinsic module: one cell of the grid."""
 
-from typing import cast
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.convolution import to_float
 from sndjax.networks import Encoder
-from sndjax.preprocessing import Preprocess, preprocessor
-from sndjax.rollout import without_invalid
-from sndjax.statistics import feature_spread, no_moments, update_moments
-from sndjax.types import Average, Encode, Features, IntrinsicModule, Objective, Signal, View
+from sndjax.preprocessing import Preprocess, make_preprocess
+from sndjax.rollout import zero_invalid_rows
+from sndjax.statistics import (
+    feature_std_over_batch,
+    init_running_statistics,
+    update_running_statistics,
+)
+from sndjax.types import (
+    EncoderView,
+    Features,
+    IntrinsicModule,
+    Loss,
+    ModuleParams,
+    ModuleState,
+    Objective,
+    Params,
+    Rollout,
+    Signal,
+    TargetNetwork,
+    TargetWeights,
+    Transition,
+)
 
 
-def compose(
+class Parts(NamedTuple):
+    """What a module is made of.
+
+    Attributes:
+      encoder: the network that features come from.
+      objective: what trains it, if anything does.
+      signal: what is read off it.
+      num_actions: A.
+      preprocess: what frames go through first.
+      weights: of the objective's and of the signal's loss.
+    """
+
+    encoder: Encoder
+    objective: Objective | None
+    signal: Signal
+    num_actions: int
+    preprocess: Preprocess
+    weights: tuple[float, float]
+
+    @property
+    def needs_pairs(self) -> bool:
+        """True if a loss reads the features of s_t+1."""
+        return self.signal.needs_pairs or (
+            self.objective is not None and self.objective.needs_pairs
+        )
+
+    @property
+    def ema_decay(self) -> float | None:
+        """The decay of the objective's target networks; None without any."""
+        return None if self.objective is None else self.objective.ema_decay
+
+
+def make_intrinsic_module(
     encoder: Encoder,
     objective: Objective | None,
     signal: Signal,
@@ -24,109 +75,244 @@ def compose(
     preprocess: Preprocess = "none",
     weights: tuple[float, float] = (1.0, 1.0),
 ) -> IntrinsicModule:
-    """The module that reads `signal` off `encoder` while `objective` shapes it.
+    """Return the module that reads `signal` off `encoder` while `objective` shapes it.
 
     Args:
-      encoder: the network that features come from. Objectives train it; whether a signal
-        does is the signal's own matter.
-      objective: what trains the encoder on pairs (s_t, s_t+1). None: the encoder stays as
-        it was drawn.
+      encoder: the network that features come from. Objectives train it; whether a signal does is
+        the signal's own matter.
+      objective: what trains the encoder on pairs (s_t, s_t+1). None: the encoder stays random.
       signal: what is read off it.
       num_actions: A, of the environment.
-      preprocess: what frames go through first; moments take in a rollout before its
-        rewards are read.
+      preprocess: what frames go through first; a rollout is added to the running statistics
+        before its rewards are read.
       weights: of the objective's and of the signal's loss.
 
     Returns:
-      The module. Its params are "encoder" and "objective" (both only where there is an
-      objective) and "signal"; its state "moments" of the input, the "encoder" where it is
-      frozen, "slow" copies where the objective wants them, and the "signal"'s own.
+      The module. Its params are a `ModuleParams`, its state is a `ModuleState`.
 
     >>> from sndjax import VECTOR, rnd
-    >>> params, state = rnd(3, VECTOR).init(jax.random.key(0), jnp.zeros((1, 2)))
-    >>> sorted(params), sorted(state)
-    (['signal'], ['encoder', 'moments', 'signal', 'slow'])
+    >>> module = rnd(3, VECTOR)
+    >>> params, state = module.init(jax.random.key(0), jnp.zeros((1, 2)))
+    >>> params.encoder is None, state.slow is None, module.has_published_scale
+    (True, True, True)
     """
-    moving = preprocess != "none"
-    decay = objective.decay if objective else None
-    pairs = signal.pairs or (objective is not None and objective.pairs)
+    parts = Parts(encoder, objective, signal, num_actions, preprocess, weights)
 
-    def init(key, example):
-        key_encoder, key_objective, key_signal = jax.random.split(key, 3)
-        frame, action = to_float(example[:1]), jnp.zeros(1, jnp.int32)
-        weights = encoder.init(key_encoder, frame, action)
-        z, local = forward(weights, frame, action)
-        features = Features(z, z, local, local)
-        params = {}
-        if objective is not None:
-            params["encoder"] = weights
-            params["objective"] = objective.init(key_objective, features, num_actions)
-        params["signal"], signal_state = signal.init(key_signal, example, features, num_actions)
-        return params, {
-            "moments": no_moments(frame.shape[1:]) if moving else None,
-            "encoder": weights if objective is None else None,
-            "slow": slow_part(params) if decay is not None else None,
-            "signal": signal_state,
-        }
+    def init(
+        key: PRNGKeyArray, example: Shaped[Array, "N *frame"]
+    ) -> tuple[ModuleParams, ModuleState]:
+        return init_module(parts, key, example)
 
-    def forward(weights, frames, action=None) -> tuple[Array, Array]:
-        return cast(tuple[Array, Array], encoder.apply(weights, frames, action))
+    def reward(
+        params: ModuleParams,
+        state: ModuleState,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+        update_statistics: bool = True,
+    ) -> tuple[Float[Array, "T N"], ModuleState]:
+        return module_reward(parts, params, state, rollout, key, update_statistics)
 
-    def view(params, state, weights=None) -> View:
-        prepare = preprocessor(preprocess, state["moments"])
-        if weights is None:
-            weights = params["encoder"] if objective is not None else state["encoder"]
-        encode: Encode = lambda frames, action=None: forward(weights, prepare(frames), action)
-        return View(prepare, encode)
+    def loss(
+        params: ModuleParams,
+        state: ModuleState,
+        batch: Transition,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> Loss:
+        return module_loss(parts, params, state, batch, rollout, key)
 
-    def slow_part(params):
-        return {name: params[name] for name in ("encoder", "objective")}
+    def update(params: ModuleParams, state: ModuleState) -> ModuleState:
+        return update_target(parts, params, state)
 
-    def reward(params, state, rollout, key):
-        if moving:
-            seen = update_moments(state["moments"], rollout.frames[:-1], rollout.valid, to_float)
-            state = state | {"moments": seen}
-        value, own = signal.reward(
-            params["signal"], state["signal"], view(params, state), rollout, key
+    def features(
+        params: ModuleParams,
+        state: ModuleState,
+        frames: Shaped[Array, "B *frame"],
+        action: Int[Array, " B"] | None = None,
+    ) -> Float[Array, "B d"]:
+        return view_encoder(parts, params, state).encode(frames, action)[0]
+
+    return IntrinsicModule(
+        init=init,
+        reward=reward,
+        loss=loss,
+        update=update,
+        features=features,
+        has_published_scale=signal.has_published_scale,
+        description=f"objective={objective!r}, signal={signal!r}, preprocess={preprocess!r}",
+    )
+
+
+def init_module(
+    parts: Parts, key: PRNGKeyArray, example: Shaped[Array, "N *frame"]
+) -> tuple[ModuleParams, ModuleState]:
+    """Return the parameters and the state of a module before any training.
+
+    Args:
+      parts: what it is made of.
+      key: of the random draws.
+      example: frames of all N environments, for their shape and dtype.
+    """
+    objective = parts.objective
+    key_encoder, key_objective, key_signal = jax.random.split(key, 3)
+    frame, action = to_float(example[:1]), jnp.zeros(1, jnp.int32)
+    encoder = parts.encoder.init(key_encoder, frame, action)
+    z, local = apply_encoder(parts.encoder, encoder, frame, action)
+    features = Features(z=z, z_next=z, local=local, local_next=local)
+    trained = objective is not None
+    own = objective.init(key_objective, features, parts.num_actions) if objective else None
+    signal, signal_state = parts.signal.init(key_signal, example, features, parts.num_actions)
+    params = ModuleParams(encoder=encoder if trained else None, objective=own, signal=signal)
+    moving = parts.preprocess != "none"
+    return params, ModuleState(
+        encoder=None if trained else encoder,
+        moments=init_running_statistics(frame.shape[1:]) if moving else None,
+        signal=signal_state,
+        slow=None if parts.ema_decay is None else TargetWeights(params.encoder, params.objective),
+    )
+
+
+def apply_encoder(
+    encoder: Encoder,
+    weights: Params,
+    frames: Shaped[Array, "B *frame"],
+    action: Int[Array, " B"] | None = None,
+) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
+    """Return features z and the local map of a batch of preprocessed frames.
+
+    Args:
+      encoder: the network.
+      weights: its weights.
+      frames: what it reads.
+      action: for encoders that take the action as input.
+    """
+    return cast(tuple[Array, Array], encoder.apply(weights, frames, action))
+
+
+def view_encoder(
+    parts: Parts, params: ModuleParams, state: ModuleState, weights: Params | None = None
+) -> EncoderView:
+    """Return how the module sees frames now.
+
+    Args:
+      parts: what it is made of.
+      params: of the module.
+      state: of the module.
+      weights: of the encoder; None: its own.
+    """
+    preprocess = make_preprocess(parts.preprocess, state.moments)
+    if weights is None:
+        weights = state.encoder if parts.objective is None else params.encoder
+
+    def encode(
+        frames: Shaped[Array, "B *frame"], action: Int[Array, " B"] | None = None
+    ) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
+        return apply_encoder(parts.encoder, weights, preprocess(frames), action)
+
+    return EncoderView(preprocess=preprocess, encode=encode)
+
+
+def module_reward(
+    parts: Parts,
+    params: ModuleParams,
+    state: ModuleState,
+    rollout: Rollout,
+    key: PRNGKeyArray,
+    update_statistics: bool,
+) -> tuple[Float[Array, "T N"], ModuleState]:
+    """Return the signal of every row, 0 at invalid rows, and the new state.
+
+    Args:
+      parts: what the module is made of.
+      params: of the module.
+      state: of the module.
+      rollout: what to read.
+      key: of the random draws.
+      update_statistics: add the rollout to the running statistics of the input first.
+    """
+    if state.moments is not None and update_statistics:
+        moments = update_running_statistics(
+            state.moments, rollout.frames[:-1], rollout.valid, to_float
         )
-        return jnp.where(rollout.valid, value, jnp.zeros_like(value)), state | {"signal": own}
+        state = state._replace(moments=moments)
+    view = view_encoder(parts, params, state)
+    value, own = parts.signal.reward(params.signal, state.signal, view, rollout, key)
+    value = jnp.where(rollout.valid, value, jnp.zeros_like(value))
+    return value, state._replace(signal=own)
 
-    def loss(params, state, batch, rollout, key):
-        batch = without_invalid(batch)
-        key_objective, key_signal = jax.random.split(key)
-        seen = view(params, state)
-        if pairs:
-            z, local = seen.encode(batch.frames)
-            features = Features(batch.now(z), batch.then(z), batch.now(local), batch.then(local))
-        else:
-            z, local = seen.encode(batch.frame, batch.action)
-            features = Features(z, z, local, local)
-        total, metrics = signal.loss(
-            params["signal"], state["signal"], seen, features, batch, key_signal
+
+def encode_batch(parts: Parts, view: EncoderView, batch: Transition) -> Features:
+    """Return the features of a minibatch, of s_t+1 too where a loss reads them.
+
+    Args:
+      parts: what the module is made of.
+      view: the encoder.
+      batch: the minibatch.
+    """
+    if parts.needs_pairs:
+        z, local = view.encode(batch.frames)
+        return Features(
+            z=batch.at_t(z),
+            z_next=batch.at_next(z),
+            local=batch.at_t(local),
+            local_next=batch.at_next(local),
         )
-        metrics = metrics | {
-            "feature_spread": feature_spread(lax.stop_gradient(features.z), batch.valid)
-        }
-        if objective is None:
-            return total, metrics
-        more = {}
-        if decay is not None:
-            slow = state["slow"]
-            encode = view(params, state, slow["encoder"]).encode
-            more["average"] = Average(slow["objective"], encode)
-        shaping, terms = objective.loss(
-            params["objective"], seen.encode, features, batch, rollout, key_objective, **more
-        )
-        total = weights[0] * shaping + weights[1] * total
-        return total, metrics | {"objective_loss": shaping} | terms
+    z, local = view.encode(batch.frame, batch.action)
+    return Features(z=z, z_next=z, local=local, local_next=local)
 
-    def update(params, state):
-        if decay is None:
-            return state
-        mix = lambda slow, now: decay * slow + (1 - decay) * now
-        return state | {"slow": jax.tree.map(mix, state["slow"], slow_part(params))}
 
-    def features(params, state, frames, action=None):
-        return view(params, state).encode(frames, action)[0]
+def module_loss(
+    parts: Parts,
+    params: ModuleParams,
+    state: ModuleState,
+    batch: Transition,
+    rollout: Rollout,
+    key: PRNGKeyArray,
+) -> Loss:
+    """Return the weighted sum of the objective's and the signal's loss, and metrics.
 
-    return IntrinsicModule(init, reward, loss, update, features)
+    Args:
+      parts: what the module is made of.
+      params: of the module.
+      state: of the module.
+      batch: the minibatch.
+      rollout: the rollout that it is from.
+      key: of the random draws.
+    """
+    batch = zero_invalid_rows(batch)
+    key_objective, key_signal = jax.random.split(key)
+    view = view_encoder(parts, params, state)
+    features = encode_batch(parts, view, batch)
+    total, metrics = parts.signal.loss(
+        params.signal, state.signal, view, features, batch, key_signal
+    )
+    spread = feature_std_over_batch(lax.stop_gradient(features.z), batch.valid)
+    metrics = metrics | {"feature_spread": spread}
+    if parts.objective is None:
+        return total, metrics
+    loss: Callable[..., Loss] = parts.objective.loss
+    target: dict[str, Any] = {}
+    if state.slow is not None:
+        encode = view_encoder(parts, params, state, state.slow.encoder).encode
+        target["target"] = TargetNetwork(params=state.slow.objective, encode=encode)
+    shaping, terms = loss(
+        params.objective, view.encode, features, batch, rollout, key_objective, **target
+    )
+    total = parts.weights[0] * shaping + parts.weights[1] * total
+    return total, metrics | {"objective_loss": shaping} | terms
+
+
+def update_target(parts: Parts, params: ModuleParams, state: ModuleState) -> ModuleState:
+    """Return the state with the target networks moved by one step of their moving average.
+
+    Args:
+      parts: what the module is made of.
+      params: after the optimizer step.
+      state: before it.
+    """
+    decay = parts.ema_decay
+    if decay is None:
+        return state
+    online = TargetWeights(params.encoder, params.objective)
+    average = lambda target, now: decay * target + (1 - decay) * now
+    return state._replace(slow=jax.tree.map(average, state.slow, online))

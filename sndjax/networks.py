@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
 from sndjax.convolution import ACTIVATIONS, Activation, Convolution, convolve, to_float
+from sndjax.types import Params
 
 ROOT_2 = math.sqrt(2.0)
 
@@ -25,7 +26,7 @@ class Architecture(NamedTuple):
 
     channels: tuple[int, ...] = (32, 64, 64)  # the three strided convolutions
     last: int = 128  # the fourth, of the policy's torso and of targets
-    last_learned: int = 128  # the fourth, of learned networks on a VICReg target
+    last_predictor: int = 128  # the fourth, of predictors of a VICReg target
     rnd_channels: tuple[int, ...] = (32, 64, 64)
     snd_v_channels: tuple[int, ...] = (16, 32, 64)
     features: int = 512  # d, and the width of every linear layer
@@ -33,7 +34,11 @@ class Architecture(NamedTuple):
     patch: int = 0  # kernel side and stride of the first layer; 0: the thesis' 3x3, stride 2
 
     def convolutions(self, last: int) -> tuple[Convolution, ...]:
-        """The convolutions of the thesis: three of stride 2, then one of stride 1."""
+        """Return the convolutions of the thesis: three of stride 2, then one of stride 1.
+
+        Args:
+          last: channels of the fourth.
+        """
         if not self.channels:
             return ()
         layers = [Convolution(c, stride=2) for c in self.channels]
@@ -42,12 +47,12 @@ class Architecture(NamedTuple):
         return (*layers, Convolution(last))
 
     def snd_v_convolutions(self) -> tuple[Convolution, ...]:
-        """SND-V's: as `convolutions` with fewer channels, and the last as many as the third."""
+        """Return SND-V's convolutions: fewer channels, and the last as many as the third."""
         narrow = self._replace(channels=self.snd_v_channels if self.channels else ())
         return narrow.convolutions(self.snd_v_channels[-1])
 
     def rnd_convolutions(self) -> tuple[Convolution, ...]:
-        """The convolutions of Random Network Distillation; in patches, those of the others."""
+        """Return the convolutions of Random Network Distillation; in patches, those of the others."""
         if self.patch or not self.channels:
             return self.convolutions(self.last)
         first, second, third = self.rnd_channels
@@ -60,7 +65,7 @@ PROCGEN = Architecture(last=64)
 SMALL = Architecture(
     channels=(16, 32, 32),
     last=32,
-    last_learned=32,
+    last_predictor=32,
     snd_v_channels=(16, 32, 32),
     features=128,
     patch=4,
@@ -68,9 +73,15 @@ SMALL = Architecture(
 VECTOR = Architecture(channels=(), features=64)
 
 
-def linear(features: int, gain: float) -> nn.Dense:
-    """A linear layer with orthogonal weights of the given gain and zero biases."""
-    return nn.Dense(features, kernel_init=nn.initializers.orthogonal(gain))
+def linear(features: int, gain: float, name: str | None = None) -> nn.Dense:
+    """Make a linear layer with orthogonal weights and zero biases.
+
+    Args:
+      features: outputs.
+      gain: of the orthogonal weights.
+      name: of its weights, where something reads them by name.
+    """
+    return nn.Dense(features, kernel_init=nn.initializers.orthogonal(gain), name=name)
 
 
 class Torso(nn.Module):
@@ -100,8 +111,8 @@ class Torso(nn.Module):
             weights.append((kernel, bias))
             channels = layer.channels
         layers = tuple(self.convolutions)
-        wanted = (min(2, len(layers) - 1), len(layers) - 1)
-        local, last = convolve(x, tuple(weights), layers, self.activation, wanted)
+        outputs = (min(2, len(layers) - 1), len(layers) - 1)
+        local, last = convolve(x, tuple(weights), layers, self.activation, outputs)
         return last.reshape(last.shape[0], -1), local
 
 
@@ -128,7 +139,7 @@ class Encoder(nn.Module):
     ) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
         x, local = Torso(self.convolutions, self.hidden, self.gain, self.activation)(frames)
         if self.num_actions:
-            assert action is not None, "this encoder takes the action in"
+            assert action is not None, "this encoder takes the action as input"
             x = jnp.concatenate([x, jax.nn.one_hot(action, self.num_actions, dtype=x.dtype)], -1)
         z = linear(self.features, self.gain)(x)
         for _ in range(self.extra):
@@ -136,7 +147,7 @@ class Encoder(nn.Module):
         return z, local
 
 
-class Perceptron(nn.Module):
+class MLP(nn.Module):
     """Linear layers of the given widths, gain sqrt(2), with a ReLU between them.
 
     The forward model, the inverse model and BYOL's heads: `[B, n]` to `[B, widths[-1]]`.
@@ -146,9 +157,26 @@ class Perceptron(nn.Module):
 
     @nn.compact
     def __call__(self, x: Float[Array, "B n"]) -> Float[Array, "B m"]:
-        for width in self.widths[:-1]:
-            x = jax.nn.relu(linear(width, ROOT_2)(x))
-        return linear(self.widths[-1], ROOT_2)(x)
+        *hidden, last = self.widths
+        for i, width in enumerate(hidden):
+            x = jax.nn.relu(linear(width, ROOT_2, mlp_layer(i))(x))
+        return linear(last, ROOT_2, mlp_layer(len(hidden)))(x)
+
+
+def mlp_layer(i: int) -> str:
+    """Return the name of layer i of an `MLP`, which is part of its weights' paths."""
+    return f"Dense_{i}"
+
+
+def mlp_widths(params: Params) -> tuple[int, ...]:
+    """Return the widths of an `MLP` from its weights: its inputs, and each layer's outputs.
+
+    >>> mlp_widths(MLP((5, 3)).init(jax.random.key(0), jnp.zeros((1, 2))))
+    (2, 5, 3)
+    """
+    layers = params["params"]
+    kernels = [layers[mlp_layer(i)]["kernel"] for i in range(len(layers))]
+    return (kernels[0].shape[-2], *(kernel.shape[-1] for kernel in kernels))
 
 
 class ActorCritic(nn.Module):
@@ -156,7 +184,8 @@ class ActorCritic(nn.Module):
 
     Maps stacked frames `[B, H, W, C * S]` (or vectors `[B, D]`) to
     `(logits float32[B, A], value float32[B, K])`. With one head (the baseline) the
-    critic stands behind an extra ReLU, as in the published experiments.
+    critic stands behind an extra ReLU, as in the published experiments. The torso's features are
+    sown as the intermediate "torso", see `torso_features`.
     """
 
     architecture: Architecture
@@ -170,9 +199,24 @@ class ActorCritic(nn.Module):
         size = self.architecture
         x, _ = Torso(size.convolutions(size.last), size.hidden, ROOT_2, "relu")(stacked)
         x = linear(size.features, ROOT_2)(x)
+        self.sow("intermediates", "torso", x)
         actor = jax.nn.relu(linear(size.features, 0.01)(jax.nn.relu(x)))
         logits = linear(self.num_actions, 0.01)(actor)
         critic = jax.nn.relu(x) if self.value_heads == 1 else x
         critic = jax.nn.relu(linear(size.features, 0.1)(critic))
         heads = [linear(1, 0.01)(critic) for _ in range(self.value_heads)]
         return logits, jnp.concatenate(heads, axis=-1)
+
+
+def torso_features(
+    network: ActorCritic, params: Params, stacked: Shaped[Array, "B *stack"]
+) -> Float[Array, "B d"]:
+    """Return what the policy's torso makes of stacks: the output of its linear layer.
+
+    Args:
+      network: the policy.
+      params: its weights.
+      stacked: frames of a stack on the last axis.
+    """
+    _, found = network.apply(params, stacked, mutable=["intermediates"])
+    return found["intermediates"]["torso"][0]

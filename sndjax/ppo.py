@@ -33,12 +33,12 @@ class Hyperparameters(NamedTuple):
 
 
 def log_prob(logits: Float[Array, "B A"], action: Int[Array, " B"]) -> Float[Array, " B"]:
-    """Log-probability of each action under the categorical distribution of its logits."""
+    """Compute the log-probability of each action under the categorical distribution of its logits."""
     return jnp.take_along_axis(jax.nn.log_softmax(logits), action[:, None], axis=-1)[:, 0]
 
 
 def entropy(logits: Float[Array, "B A"]) -> Float[Array, " B"]:
-    """Entropy in nats of the categorical distribution of each row of logits.
+    """Compute the entropy in nats of the categorical distribution of each row of logits.
 
     >>> entropy(jnp.zeros((1, 4))).round(4)
     Array([1.3863], dtype=float32)
@@ -50,7 +50,7 @@ def entropy(logits: Float[Array, "B A"]) -> Float[Array, " B"]:
 def clipped_surrogate(
     ratio: Float[Array, " B"], advantage: Float[Array, " B"], clip: float
 ) -> Float[Array, " B"]:
-    """The objective to maximise: min(r A, clip(r, 1 - e, 1 + e) A), eq. 7 of the paper.
+    """Compute the objective to maximise: min(r A, clip(r, 1 - e, 1 + e) A), eq. 7 of the paper.
 
     Args:
       ratio: pi(a | s) / pi_old(a | s), one per row.
@@ -74,14 +74,16 @@ def loss(
     valid: Bool[Array, " B"],
     hyper: Hyperparameters,
 ) -> tuple[Float[Array, ""], Metrics]:
-    """The loss of one minibatch, over its valid rows::
+    """Compute the loss of one minibatch, over its valid rows::
 
         - mean(clipped surrogate) + value_weight * sum_k mean((V_k - target_k)^2)
         - entropy_weight * mean(entropy)
 
     Args:
-      logits, value: what the network says now.
-      action, old_log_prob: what was done, and how likely it was then.
+      logits: of the policy now.
+      value: of the critic now.
+      action: what was done.
+      old_log_prob: its log-probability when it was done.
       advantage: the weighted sum of both streams' advantages.
       target: the return of each stream, one column per value head.
       valid: False on reset rows.
@@ -95,12 +97,12 @@ def loss(
     ratio = jnp.exp(log_ratio)
     policy = -masked_mean(clipped_surrogate(ratio, advantage, hyper.clip), valid)
     error = jnp.sum(masked_mean((value - target) ** 2, valid))
-    spread = masked_mean(entropy(logits), valid)
-    total = policy + hyper.value_weight * error - hyper.entropy_weight * spread
+    mean_entropy = masked_mean(entropy(logits), valid)
+    total = policy + hyper.value_weight * error - hyper.entropy_weight * mean_entropy
     return total, {
         "policy_loss": policy,
         "value_loss": error,
-        "entropy": spread,
+        "entropy": mean_entropy,
         "kl": masked_mean(ratio - 1 - log_ratio, valid),
         "ratio_clipped": masked_mean((jnp.abs(ratio - 1) > hyper.clip).astype(ratio.dtype), valid),
     }

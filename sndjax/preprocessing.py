@@ -7,23 +7,23 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Shaped
 
 from sndjax.convolution import to_float
-from sndjax.statistics import deviation
-from sndjax.types import Moments
+from sndjax.statistics import std
+from sndjax.types import RunningStatistics
 
 Preprocess = Literal["none", "mean", "standardize"]
 
 
-def preprocessor(
-    mode: Preprocess, moments: Moments | None
+def make_preprocess(
+    mode: Preprocess, moments: RunningStatistics | None
 ) -> Callable[[Shaped[Array, "B *frame"]], Shaped[Array, "B *frame"]]:
-    """A function of a batch of frames, pixels being read as x / 255.
+    """Return a function of a batch of frames, pixels being read as x / 255.
 
     - `none`: nothing. Pixels stay `uint8`; the first layer converts them.
     - `mean`: minus the running mean.
     - `standardize`: minus the running mean, over the running standard deviation, clipped to
       [-1, 1].
 
-    >>> preprocessor("mean", Moments(1.0, jnp.array([0.5]), jnp.zeros(1)))(jnp.ones((1, 1)))
+    >>> make_preprocess("mean", RunningStatistics(1.0, jnp.array([0.5]), jnp.zeros(1)))(jnp.ones((1, 1)))
     Array([[0.5]], dtype=float32)
     """
     if mode == "none" or moments is None:
@@ -34,4 +34,4 @@ def preprocessor(
 
     if mode == "mean":
         return centre
-    return lambda frame: jnp.clip(centre(frame) / deviation(moments)[None], -1.0, 1.0)
+    return lambda frame: jnp.clip(centre(frame) / std(moments)[None], -1.0, 1.0)

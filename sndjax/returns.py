@@ -16,7 +16,7 @@ def generalized_advantage(
     truncated: Bool[Array, "T N"] | None = None,
     episodic: bool = True,
 ) -> Float[Array, "T N"]:
-    """Generalized advantage estimation over a rollout that contains reset rows.
+    """Compute generalized advantage estimates over a rollout that contains reset rows.
 
     For a valid row t that ends no episode::
 
@@ -52,7 +52,9 @@ def generalized_advantage(
     chex.assert_shape(value, (reward.shape[0] + 1, reward.shape[1]))
     bootstrap = jnp.zeros_like(done) if truncated is None else truncated & done
 
-    def step(carry, row):
+    def step(
+        carry: tuple[Array, Array], row: tuple[Array, ...]
+    ) -> tuple[tuple[Array, Array], Array]:
         next_advantage, next_value = carry
         reward, value, value_after, done, valid, bootstrap = row
         if episodic:

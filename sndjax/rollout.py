@@ -8,37 +8,48 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, Shaped
 
-from sndjax.statistics import expand
+from sndjax.statistics import broadcast_mask
 from sndjax.types import Experience, Rollout, Transition
 
 SLICE = 512  # frames that go through an encoder at once when rewards are read
 
 
-class Stack(NamedTuple):
+class FrameStack(NamedTuple):
     """How many of the newest frames the policy sees, and what stands before an episode's first."""
 
     size: int = 1
     repeat: bool = True  # the first frame again (Atari); False: zeros (Procgen)
 
 
-def transitions(rollout: Rollout, index: Int[Array, " B"]) -> Transition:
-    """The rows `index` of the flattened rollout, row t of environment n being t * N + n."""
+def gather_transitions(rollout: Rollout, index: Int[Array, " B"]) -> Transition:
+    """Gather the rows `index` of the flattened rollout, row t of environment n being t * N + n.
+
+    Args:
+      rollout: T steps of N environments.
+      index: B rows, each below T * N.
+    """
     envs = rollout.action.shape[1]
     frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
     seen = jnp.concatenate([frames[index], frames[index + envs]])
     return Transition(seen, *(x.reshape(-1)[index] for x in rollout[1:]))
 
 
-def consecutive(rollout: Rollout, start: Int[Array, ""], rows: int) -> Transition:
-    """The `rows` rows from `start` on: the same as `transitions`, each frame there once."""
+def slice_transitions(rollout: Rollout, start: Int[Array, ""], rows: int) -> Transition:
+    """Slice `rows` consecutive rows from `start` on: as `gather_transitions`, each frame once.
+
+    Args:
+      rollout: T steps of N environments.
+      start: the first row of the flattened rollout.
+      rows: B.
+    """
     envs = rollout.action.shape[1]
     cut = lambda x, size: lax.dynamic_slice_in_dim(x, start, size)
     frames = cut(rollout.frames.reshape(-1, *rollout.frames.shape[2:]), rows + envs)
     return Transition(frames, *(cut(x.reshape(-1), rows) for x in rollout[1:]))
 
 
-def without_invalid(batch: Transition) -> Transition:
-    """The same minibatch with the contents of its invalid rows replaced by zeros.
+def zero_invalid_rows(batch: Transition) -> Transition:
+    """Replace what the invalid rows of a minibatch hold by zeros.
 
     A mask on the loss alone would not do: 0 times NaN is NaN in the backward pass.
     """
@@ -47,69 +58,83 @@ def without_invalid(batch: Transition) -> Transition:
     others = (0, frames.shape[0] - valid.shape[0])
     seen = jnp.pad(valid, others) | jnp.pad(valid, others[::-1])  # as s_t, or as s_t+1
     return batch._replace(
-        frames=jnp.where(expand(seen, frames), frames, jnp.zeros_like(frames)),
+        frames=jnp.where(broadcast_mask(seen, frames), frames, jnp.zeros_like(frames)),
         action=jnp.where(valid, batch.action, 0),
         first=batch.first & batch.valid,
         done=batch.done & batch.valid,
     )
 
 
-def push(
+def push_frame(
     window: Shaped[Array, "S N *frame"],
     frame: Shaped[Array, "N *frame"],
     first: Bool[Array, " N"],
     repeat: bool,
 ) -> Shaped[Array, "S N *frame"]:
-    """The next stack, oldest frame first; a new episode's holds nothing of the one before."""
+    """Return the next stack, oldest frame first; a new episode's holds nothing of the one before.
+
+    Args:
+      window: the stack of every environment.
+      frame: the newest frame.
+      first: it opens an episode.
+      repeat: a new episode's stack repeats its first frame, else zeros stand before it.
+    """
     shifted = jnp.concatenate([window[1:], frame[None]])
     older = jnp.broadcast_to(frame, window[1:].shape) if repeat else jnp.zeros_like(window[1:])
     fresh = jnp.concatenate([older, frame[None]])
-    return jnp.where(expand(first[None], fresh), fresh, shifted)
+    return jnp.where(broadcast_mask(first[None], fresh), fresh, shifted)
 
 
-def channels(stacked: Shaped[Array, "S B *frame"]) -> Shaped[Array, "B *stack"]:
-    """A stack as the policy reads it: its frames side by side on the last axis, oldest first."""
+def stack_to_channels(stacked: Shaped[Array, "S B *frame"]) -> Shaped[Array, "B *stack"]:
+    """Join the frames of a stack on the last axis, oldest first, as the policy reads it."""
     return jnp.concatenate(list(stacked), axis=-1)
 
 
-def age(first: Bool[Array, "T N"], limit: int) -> Int[Array, "T N"]:
-    """Steps since the episode began, at most `limit`; `limit` too where it began before."""
+def steps_since_reset(first: Bool[Array, "T N"], limit: int) -> Int[Array, "T N"]:
+    """Count the steps since the episode began, at most `limit`; `limit` too where it began before."""
 
-    def step(count, first):
+    def step(
+        count: Int[Array, " N"], first: Bool[Array, " N"]
+    ) -> tuple[Int[Array, " N"], Int[Array, " N"]]:
         count = jnp.where(first, 0, jnp.minimum(count + 1, limit))
         return count, count
 
     return lax.scan(step, jnp.full(first.shape[1:], limit, jnp.int32), first)[1]
 
 
-def stacker(batch: Experience, stack: Stack) -> Callable[[Int[Array, " B"]], Array]:
-    """A function from flat row indices to the stacks the policy saw there."""
+def make_frame_stacker(batch: Experience, stack: FrameStack) -> Callable[[Int[Array, " B"]], Array]:
+    """Return a function from flat row indices to the stacks that the policy saw there."""
     envs, shape = batch.history.shape[1], batch.history.shape[2:]
     older = stack.size - 1
     frames = jnp.concatenate([batch.history, batch.rollout.frames]).reshape(-1, *shape)
-    ages = age(batch.rollout.first, older).reshape(-1)
+    ages = steps_since_reset(batch.rollout.first, older).reshape(-1)
 
-    def stacks(index):
+    def stacks(index: Int[Array, " B"]) -> Array:
         own = ages[index]
 
-        def back(k):
+        def back(k: int) -> Array:
             seen = jnp.minimum(k, own) if stack.repeat else k
             frame = frames[index + (older - seen) * envs]
             return (
                 frame
                 if stack.repeat
-                else jnp.where(expand(k <= own, frame), frame, jnp.zeros_like(frame))
+                else jnp.where(broadcast_mask(k <= own, frame), frame, jnp.zeros_like(frame))
             )
 
-        return channels(jnp.stack([back(k) for k in range(older, -1, -1)]))
+        return stack_to_channels(jnp.stack([back(k) for k in range(older, -1, -1)]))
 
     return stacks
 
 
-def map_steps(function: Callable[..., Any], *arrays: Shaped[Array, "T N ..."]) -> Any:
+def map_over_time(function: Callable[..., Any], *arrays: Shaped[Array, "T N ..."]) -> Any:
     """Apply a function of batches `[M, ...]` to all of `[T, N, ...]`, some time steps at once.
 
-    The result's leaves, `[M, ...]` of the function, become `[T, N, ...]`.
+    Args:
+      function: of M rows.
+      *arrays: of T steps and N environments.
+
+    Returns:
+      The function's result, its leaves `[M, ...]` reshaped to `[T, N, ...]`.
     """
     steps, envs = arrays[0].shape[:2]
     together = max(

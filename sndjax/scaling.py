@@ -5,8 +5,8 @@ from typing import Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sndjax.statistics import deviation, update_return_scale
-from sndjax.types import ReturnScale
+from sndjax.statistics import std, update_return_statistics
+from sndjax.types import ReturnStatistics
 
 RewardScale = Literal["none", "running_std"]
 
@@ -14,12 +14,12 @@ RewardScale = Literal["none", "running_std"]
 def scale_reward(
     signal: Float[Array, "T N"],
     valid: Bool[Array, "T N"],
-    scale: ReturnScale,
+    scale: ReturnStatistics,
     mode: RewardScale,
     eta: float,
     discount: float,
-) -> tuple[Float[Array, "T N"], Float[Array, "T N"], ReturnScale]:
-    """The intrinsic reward of a signal, and the share of it that was cut off.
+) -> tuple[Float[Array, "T N"], Float[Array, "T N"], ReturnStatistics]:
+    """Compute the intrinsic reward of a signal.
 
     - `none` (the thesis): clip(eta * signal, 0, 1).
     - `running_std` (Burda et al., 2018): eta * signal over the running standard deviation of
@@ -29,7 +29,8 @@ def scale_reward(
       signal: the module's novelty, 0 on reset rows.
       valid: False on reset rows.
       scale: the running scale so far; only `running_std` moves it.
-      mode, eta: see above.
+      mode: "none" or "running_std", see above.
+      eta: the scale.
       discount: of the sum, the intrinsic gamma.
 
     Returns:
@@ -41,7 +42,7 @@ def scale_reward(
     (Array([[0.25, 1.  ]], dtype=float32), Array([[0., 1.]], dtype=float32))
     """
     if mode == "running_std":
-        scale = update_return_scale(scale, signal, valid, discount)
-        return eta * signal / deviation(scale.moments), jnp.zeros_like(signal), scale
+        scale = update_return_statistics(scale, signal, valid, discount)
+        return eta * signal / std(scale.moments), jnp.zeros_like(signal), scale
     reward = eta * signal
     return jnp.clip(reward, 0.0, 1.0), (reward > 1).astype(reward.dtype), scale

@@ -1,29 +1,32 @@
-"""Means over valid rows, running moments, and the scaling of a reward by its return."""
+"""Means over valid rows, running statistics, and the statistics of a reward's return."""
+
+from collections.abc import Callable
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Shaped
 
-from sndjax.types import Moments, ReturnScale
+from sndjax.types import ReturnStatistics, RunningStatistics
 
 
-def expand(mask: Bool[Array, "*rows"], like: Array) -> Array:
-    """The mask with trailing axes of size one, so that it meets `like`."""
+def broadcast_mask(mask: Bool[Array, "*rows"], like: Array) -> Array:
+    """Return the mask with trailing axes of size one, so that it broadcasts against `like`."""
     return mask.reshape(mask.shape + (1,) * (like.ndim - mask.ndim))
 
 
 def masked_sum(x: Float[Array, "B *rest"], valid: Bool[Array, " B"]) -> Float[Array, "*rest"]:
-    """Sum over the valid rows; what the others hold, NaN included, does not matter."""
-    return jnp.sum(jnp.where(expand(valid, x), x, jnp.zeros_like(x)), axis=0)
+    """Sum over the valid rows; what the others hold, NaN included, is ignored."""
+    return jnp.sum(jnp.where(broadcast_mask(valid, x), x, jnp.zeros_like(x)), axis=0)
 
 
-def valid_count(valid: Bool[Array, "*rows"], dtype=jnp.float32) -> Float[Array, ""]:
-    """The number of valid rows, at least 1, so that it can divide."""
+def valid_count(valid: Bool[Array, "*rows"], dtype: DTypeLike = jnp.float32) -> Float[Array, ""]:
+    """Count the valid rows, at least 1, so that it can divide."""
     return jnp.maximum(jnp.sum(valid, dtype=dtype), 1)
 
 
 def masked_mean(x: Float[Array, "B *rest"], valid: Bool[Array, " B"]) -> Float[Array, "*rest"]:
-    """Mean over the valid rows, 0 where there are none.
+    """Average over the valid rows, 0 where there are none.
 
     >>> masked_mean(jnp.array([1.0, 3.0, jnp.nan]), jnp.array([True, True, False]))
     Array(2., dtype=float32)
@@ -32,7 +35,7 @@ def masked_mean(x: Float[Array, "B *rest"], valid: Bool[Array, " B"]) -> Float[A
 
 
 def safe_sqrt(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Square root whose gradient at 0 is 0 instead of infinite.
+    """Take the square root, with gradient 0 at 0 instead of infinity.
 
     >>> import jax
     >>> jax.grad(safe_sqrt)(jnp.zeros(()))
@@ -44,76 +47,96 @@ def safe_sqrt(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     )
 
 
-def no_moments(shape: tuple[int, ...]) -> Moments:
-    """Moments of nothing yet."""
-    return Moments(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
+def init_running_statistics(shape: tuple[int, ...]) -> RunningStatistics:
+    """Return the running statistics of no sample yet."""
+    return RunningStatistics(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
 
 
-def merge_moments(a: Moments, b: Moments) -> Moments:
-    """Moments of the samples of both (Chan, Golub and LeVeque, 1979)."""
+def merge_statistics(a: RunningStatistics, b: RunningStatistics) -> RunningStatistics:
+    """Merge the statistics of two sets of samples (Chan, Golub and LeVeque, 1979)."""
     count = a.samples + b.samples
     share = b.samples / jnp.maximum(count, 1)
     distance = b.mean - a.mean
     mean = a.mean + share * distance
     m2 = a.m2 + b.m2 + a.samples * share * distance**2
-    return Moments(count, mean, m2)
+    return RunningStatistics(count, mean, m2)
 
 
-def batch_moments(x: Float[Array, "B *shape"], valid: Bool[Array, " B"]) -> Moments:
-    """Moments of the valid rows of one batch."""
+def batch_statistics(x: Float[Array, "B *shape"], valid: Bool[Array, " B"]) -> RunningStatistics:
+    """Compute the statistics of the valid rows of one batch."""
     mean = masked_mean(x, valid)
-    return Moments(jnp.sum(valid, dtype=x.dtype), mean, masked_sum((x - mean[None]) ** 2, valid))
+    return RunningStatistics(
+        jnp.sum(valid, dtype=x.dtype), mean, masked_sum((x - mean[None]) ** 2, valid)
+    )
 
 
-def feature_spread(z: Float[Array, "B d"], valid: Bool[Array, " B"]) -> Float[Array, ""]:
-    """How far features are apart: sqrt(mean over d of their variance over the valid rows).
+def feature_std_over_batch(z: Float[Array, "B d"], valid: Bool[Array, " B"]) -> Float[Array, ""]:
+    """Compute sqrt(mean over d of the features' variance over the valid rows).
 
-    >>> feature_spread(jnp.array([[0.0, 3.0], [4.0, 3.0]]), jnp.array([True, True]))
+    >>> feature_std_over_batch(jnp.array([[0.0, 3.0], [4.0, 3.0]]), jnp.array([True, True]))
     Array(1.4142135, dtype=float32)
     """
-    moments = batch_moments(z, valid)
+    moments = batch_statistics(z, valid)
     return jnp.sqrt(jnp.mean(moments.m2 / jnp.maximum(moments.samples, 1)))
 
 
-def update_moments(
-    moments: Moments, x: Array, valid: Bool[Array, "T N"], to_float=lambda x: x
-) -> Moments:
-    """Take in the valid rows of `x[T, N, *shape]`, converted one time step at a time."""
+def update_running_statistics(
+    moments: RunningStatistics,
+    x: Shaped[Array, "T N *shape"],
+    valid: Bool[Array, "T N"],
+    to_float: Callable[[Array], Array] = lambda x: x,
+) -> RunningStatistics:
+    """Add the valid rows of x to the running statistics.
 
-    def step(total, row):
-        return merge_moments(total, batch_moments(to_float(row[0]), row[1])), None
+    Args:
+      moments: the statistics so far.
+      x: T steps of N samples.
+      valid: the rows that count.
+      to_float: converts x, one time step at a time.
+    """
 
-    seen, _ = lax.scan(step, no_moments(moments.mean.shape), (x, valid))
-    return merge_moments(moments, seen)
+    def step(total: RunningStatistics, row: tuple[Array, Array]) -> tuple[RunningStatistics, None]:
+        return merge_statistics(total, batch_statistics(to_float(row[0]), row[1])), None
+
+    seen, _ = lax.scan(step, init_running_statistics(moments.mean.shape), (x, valid))
+    return merge_statistics(moments, seen)
 
 
-def deviation(moments: Moments) -> Float[Array, "*shape"]:
-    """Standard deviation over the samples seen, 1 where none or no spread was seen.
+def std(moments: RunningStatistics) -> Float[Array, "*shape"]:
+    """Compute the standard deviation of the samples seen, 1 where none or no variance was seen.
 
-    >>> deviation(no_moments((2,)))
+    >>> std(init_running_statistics((2,)))
     Array([1., 1.], dtype=float32)
     """
     variance = moments.m2 / jnp.maximum(moments.samples, 1)
     return jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 1)
 
 
-def init_return_scale(num_envs: int) -> ReturnScale:
-    """The scale before any reward was seen."""
-    return ReturnScale(no_moments(()), jnp.zeros(num_envs))
+def init_return_statistics(num_envs: int) -> ReturnStatistics:
+    """Return the statistics before any reward was seen."""
+    return ReturnStatistics(init_running_statistics(()), jnp.zeros(num_envs))
 
 
-def update_return_scale(
-    scale: ReturnScale, reward: Float[Array, "T N"], valid: Bool[Array, "T N"], discount: float
-) -> ReturnScale:
-    """Follow the discounted sum R_t = discount * R_t-1 + r_t of every environment over time.
+def update_return_statistics(
+    scale: ReturnStatistics, reward: Float[Array, "T N"], valid: Bool[Array, "T N"], discount: float
+) -> ReturnStatistics:
+    """Add the discounted sums R_t = discount * R_t-1 + r_t of every environment over time.
 
-    The sum goes on across episodes and stands still on reset rows (Burda et al., 2018).
+    The sum continues across episodes and skips reset rows (Burda et al., 2018).
+
+    Args:
+      scale: the statistics so far.
+      reward: r_t.
+      valid: False on reset rows.
+      discount: gamma.
     """
 
-    def step(discounted, row):
+    def step(
+        discounted: Float[Array, " N"], row: tuple[Array, Array]
+    ) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
         reward, valid = row
         discounted = jnp.where(valid, discount * discounted + reward, discounted)
         return discounted, discounted
 
     discounted, sums = lax.scan(step, scale.discounted, (reward, valid))
-    return ReturnScale(update_moments(scale.moments, sums, valid), discounted)
+    return ReturnStatistics(update_running_statistics(scale.moments, sums, valid), discounted)

@@ -1,7 +1,6 @@
-"""One iteration of learning: `train_step(state, batch)`, composed of pure functions.
+"""One training iteration: intrinsic rewards, advantages, PPO epochs, intrinsic-module epoch.
 
-A rollout goes through each room once: intrinsic rewards -> advantages of both reward
-streams -> PPO epochs -> one pass of the motivation module.
+`make_train_step` composes the four; each is a pure function of its own.
 """
 
 import functools
@@ -12,51 +11,69 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax import lax
-from jaxtyping import Array, Float, PRNGKeyArray, Shaped
+from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax import ppo
-from sndjax.acting import Agent, forward, scale_vectors
+from sndjax.acting import AgentSpec, forward, scale_vectors
 from sndjax.returns import generalized_advantage
-from sndjax.rollout import channels, consecutive, stacker, transitions
+from sndjax.rollout import (
+    gather_transitions,
+    make_frame_stacker,
+    slice_transitions,
+    stack_to_channels,
+)
 from sndjax.scaling import scale_reward
-from sndjax.statistics import expand, init_return_scale, no_moments, update_moments
-from sndjax.types import Experience, Metrics, TrainState
+from sndjax.statistics import (
+    broadcast_mask,
+    init_return_statistics,
+    init_running_statistics,
+    update_running_statistics,
+)
+from sndjax.types import Experience, Metrics, Params, State, TrainState
 
-Spread = Callable[[Any], Any]
+ShardRows = Callable[[Any], Any]
 
 
-def alone(rows: Any) -> Any:
-    """All rows of a minibatch on one device."""
+def identity(rows: Any) -> Any:
+    """Return the rows of a minibatch as they are: all on one device."""
     return rows
 
 
-def init(agent: Agent, key: PRNGKeyArray, example: Shaped[Array, "N *frame"]) -> TrainState:
-    """The state before the first iteration; `example` gives the shape and dtype of frames."""
+def init_train_state(
+    agent: AgentSpec, key: PRNGKeyArray, example: Shaped[Array, "N *frame"]
+) -> TrainState:
+    """Return the state before the first iteration.
+
+    Args:
+      agent: what learns.
+      key: of the random draws, these and all that follow.
+      example: frames of all N environments, for their shape and dtype.
+    """
     key, key_policy, key_module = jax.random.split(key, 3)
     window = jnp.broadcast_to(example[:1], (agent.stack.size, *example[:1].shape))
-    policy = agent.network.init(key_policy, channels(window))
+    policy = agent.network.init(key_policy, stack_to_channels(window))
     intrinsic, intrinsic_state = (
-        agent.motivation.module.init(key_module, example) if agent.motivation else ({}, {})
+        agent.intrinsic.module.init(key_module, example) if agent.intrinsic else ({}, {})
     )
     policy_optimizer, intrinsic_optimizer = agent.optimizers()
     return TrainState(
-        policy,
-        policy_optimizer.init(policy),
-        intrinsic,
-        intrinsic_optimizer.init(intrinsic),
-        intrinsic_state,
-        init_return_scale(example.shape[0]),
-        no_moments(example.shape[1:] if any(agent.unbounded) else ()),
-        key,
-        jnp.zeros((), jnp.int32),
+        policy=policy,
+        policy_optimizer=policy_optimizer.init(policy),
+        intrinsic=intrinsic,
+        intrinsic_optimizer=intrinsic_optimizer.init(intrinsic),
+        intrinsic_state=intrinsic_state,
+        reward_scale=init_return_statistics(example.shape[0]),
+        observations=init_running_statistics(example.shape[1:] if any(agent.unbounded) else ()),
+        key=key,
+        iteration=jnp.zeros((), jnp.int32),
     )
 
 
-def clean(batch: Experience) -> Experience:
-    """The batch with what reset rows hold, frames apart, replaced by zeros."""
+def zero_reset_rows(batch: Experience) -> Experience:
+    """Replace what reset rows hold, frames apart, by zeros."""
     rollout = batch.rollout
     valid = rollout.valid
-    zero = lambda x: jnp.where(expand(valid, x), x, jnp.zeros_like(x))
+    zero = lambda x: jnp.where(broadcast_mask(valid, x), x, jnp.zeros_like(x))
     return batch._replace(
         rollout=rollout._replace(
             action=zero(rollout.action), first=rollout.first & valid, done=rollout.done & valid
@@ -67,10 +84,19 @@ def clean(batch: Experience) -> Experience:
     )
 
 
-def advantages(
+def compute_advantages(
     hyper: ppo.Hyperparameters, batch: Experience, int_reward: Float[Array, "T N"]
 ) -> tuple[Float[Array, "T N"], Float[Array, "T N K"]]:
-    """The weighted advantage of both streams, and the value targets of every head."""
+    """Compute the weighted advantage of both reward streams, and the value targets of every head.
+
+    Args:
+      hyper: discounts, weights and switches.
+      batch: the rollout, its external rewards and values.
+      int_reward: the intrinsic rewards.
+
+    Returns:
+      The advantage, 0 on reset rows where it is normalised, and the targets, 0 on reset rows.
+    """
     rollout = batch.rollout
     truncated = batch.truncated if hyper.bootstrap_truncated else None
     streams = [
@@ -79,7 +105,7 @@ def advantages(
     ]
     weights = (hyper.ext_weight, hyper.int_weight)
     heads = batch.value.shape[-1]
-    # Their mask is the other way round: it cuts within episodes and not between them.
+    # The published mask is the other way round: it cuts within episodes and not between them.
     done = ~rollout.done if hyper.published_mask else rollout.done
     estimates = [
         generalized_advantage(
@@ -101,21 +127,34 @@ def advantages(
     if hyper.normalize_advantages:
         mean = jnp.mean(total, where=valid)
         total = jnp.where(valid, (total - mean) / (jnp.std(total, where=valid) + 1e-8), 0.0)
-    return total, jnp.where(expand(valid, targets), targets, 0.0)
+    return total, jnp.where(broadcast_mask(valid, targets), targets, 0.0)
 
 
-def train_policy(
-    agent: Agent,
+def update_policy(
+    agent: AgentSpec,
     state: TrainState,
     batch: Experience,
     advantage: Float[Array, "T N"],
     target: Float[Array, "T N K"],
     key: PRNGKeyArray,
-    spread: Spread = alone,
+    shard_rows: ShardRows = identity,
 ) -> tuple[TrainState, Metrics]:
-    """The PPO epochs: one permutation of the rollout, gone through `epochs` times."""
+    """Run the PPO epochs: one permutation of the rollout, gone through `epochs` times.
+
+    Args:
+      agent: what learns.
+      state: before.
+      batch: the rollout.
+      advantage: of both reward streams together.
+      target: of every value head.
+      key: of the permutation.
+      shard_rows: see `make_train_step`.
+
+    Returns:
+      The state with a new policy, and the means of its metrics over minibatches.
+    """
     hyper, rollout = agent.ppo, batch.rollout
-    stacks = stacker(batch, agent.stack)
+    stacks = make_frame_stacker(batch, agent.stack)
     optimizer, _ = agent.optimizers()
     rows = advantage.size
     index = jax.random.permutation(key, rows).reshape(-1, hyper.minibatch_size)
@@ -123,15 +162,25 @@ def train_policy(
     columns = [flat(x) for x in (rollout.action, batch.log_prob, advantage, target, rollout.valid)]
     valid = columns[-1]
 
-    def loss(params, stacked, action, log_prob, advantage, target, valid):
+    def loss(
+        params: Params,
+        stacked: Array,
+        action: Array,
+        log_prob: Array,
+        advantage: Array,
+        target: Array,
+        valid: Array,
+    ) -> tuple[Array, Metrics]:
         logits, value = forward(agent.network, params, stacked)
         return ppo.loss(logits, value, action, log_prob, advantage, target, valid, hyper)
 
-    def minibatch(carry, index):
+    def minibatch(
+        carry: tuple[Params, optax.OptState], index: Int[Array, " B"]
+    ) -> tuple[tuple[Params, optax.OptState], Metrics]:
         params, optimizer_state = carry
         seen = stacks(index)
-        seen = jnp.where(expand(valid[index], seen), seen, jnp.zeros_like(seen))
-        rows = spread((seen, *(c[index] for c in columns)))
+        seen = jnp.where(broadcast_mask(valid[index], seen), seen, jnp.zeros_like(seen))
+        rows = shard_rows((seen, *(c[index] for c in columns)))
         (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(params, *rows)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         metrics |= {"ppo_loss": total, "grad_norm": optax.tree.norm(gradient)}
@@ -140,40 +189,53 @@ def train_policy(
     (policy, optimizer_state), metrics = lax.scan(
         minibatch, (state.policy, state.policy_optimizer), jnp.tile(index, (hyper.epochs, 1))
     )
-    return state._replace(policy=policy, policy_optimizer=optimizer_state), mean_of(metrics)
+    return state._replace(policy=policy, policy_optimizer=optimizer_state), mean_metrics(metrics)
 
 
-def train_module(
-    agent: Agent,
+def update_intrinsic_module(
+    agent: AgentSpec,
     state: TrainState,
     batch: Experience,
     key: PRNGKeyArray,
-    spread: Spread = alone,
+    shard_rows: ShardRows = identity,
 ) -> tuple[TrainState, Metrics]:
-    """One pass of the motivation module over the rollout."""
-    motivation, rollout = agent.motivation, batch.rollout
-    if motivation is None or not jax.tree.leaves(state.intrinsic):
+    """Train the intrinsic module on one pass over the rollout.
+
+    Args:
+      agent: what learns.
+      state: before.
+      batch: the rollout.
+      key: of the order of rows and of the module's draws.
+      shard_rows: see `make_train_step`.
+
+    Returns:
+      The state with a new module, and the means of its metrics over minibatches.
+    """
+    intrinsic, rollout = agent.intrinsic, batch.rollout
+    if intrinsic is None or not jax.tree.leaves(state.intrinsic):
         return state, {}  # nothing is trained
-    module = motivation.module
+    module = intrinsic.module
     _, optimizer = agent.optimizers()
     key_order, key_loss = jax.random.split(key)
     rows = jnp.arange(rollout.action.size)
-    if motivation.shuffle:
+    if intrinsic.shuffle:
         rows = jax.random.permutation(key_order, rows)
-    index = rows.reshape(-1, motivation.minibatch_size)
+    index = rows.reshape(-1, intrinsic.minibatch_size)
     # In order, s_t+1 of most rows is s_t of others; in less than a step of rows, of none.
-    apart = motivation.shuffle or motivation.minibatch_size < rollout.action.shape[1]
+    apart = intrinsic.shuffle or intrinsic.minibatch_size < rollout.action.shape[1]
 
-    def minibatch(carry, inputs):
+    def minibatch(
+        carry: tuple[Params, optax.OptState, State], inputs: tuple[Array, PRNGKeyArray]
+    ) -> tuple[tuple[Params, optax.OptState, State], Metrics]:
         params, optimizer_state, module_state = carry
         index, key = inputs
         batch = (
-            transitions(rollout, index)
+            gather_transitions(rollout, index)
             if apart
-            else consecutive(rollout, index[0], motivation.minibatch_size)
+            else slice_transitions(rollout, index[0], intrinsic.minibatch_size)
         )
         (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
-            params, module_state, spread(batch), rollout, key
+            params, module_state, shard_rows(batch), rollout, key
         )
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         params = optax.apply_updates(params, updates)
@@ -186,32 +248,42 @@ def train_module(
     state = state._replace(
         intrinsic=params, intrinsic_optimizer=optimizer_state, intrinsic_state=module_state
     )
-    return state, mean_of(metrics)
+    return state, mean_metrics(metrics)
 
 
-def mean_of(metrics: dict[str, Array]) -> Metrics:
-    """The mean over minibatches of every metric."""
+def mean_metrics(metrics: dict[str, Array]) -> Metrics:
+    """Average every metric over minibatches."""
     return {name: jnp.mean(value) for name, value in metrics.items()}
 
 
-def intrinsic_reward(
-    agent: Agent, state: TrainState, batch: Experience, key: PRNGKeyArray
+def compute_intrinsic_rewards(
+    agent: AgentSpec, state: TrainState, batch: Experience, key: PRNGKeyArray
 ) -> tuple[TrainState, Float[Array, "T N"], Metrics]:
-    """The rollout's intrinsic rewards, with the weights that collected it."""
-    motivation, rollout = agent.motivation, batch.rollout
+    """Compute the rollout's intrinsic rewards, with the weights that collected it.
+
+    Args:
+      agent: what learns.
+      state: before.
+      batch: the rollout.
+      key: of the module's draws.
+
+    Returns:
+      The state after reading (episodic memory, running statistics), the rewards, their metrics.
+    """
+    intrinsic, rollout = agent.intrinsic, batch.rollout
     valid = rollout.valid
-    if motivation is None:
+    if intrinsic is None:
         reward = clipped = signal = jnp.zeros(valid.shape)
     else:
-        signal, module_state = motivation.module.reward(
+        signal, module_state = intrinsic.module.reward(
             state.intrinsic, state.intrinsic_state, rollout, key
         )
         reward, clipped, reward_scale = scale_reward(
             signal,
             valid,
             state.reward_scale,
-            motivation.reward_scale,
-            motivation.eta,
+            intrinsic.reward_scale,
+            intrinsic.eta,
             agent.ppo.gamma_int,
         )
         state = state._replace(intrinsic_state=module_state, reward_scale=reward_scale)
@@ -231,9 +303,9 @@ def intrinsic_reward(
 
 
 def make_train_step(
-    agent: Agent, spread: Spread = alone
+    agent: AgentSpec, shard_rows: ShardRows = identity
 ) -> Callable[[TrainState, Experience], tuple[TrainState, Metrics, Float[Array, "T N"]]]:
-    """`train_step(state, batch)`: the whole of one iteration's learning, to be jitted.
+    """Make `train_step(state, batch)`: the whole of one iteration's learning, to be jitted.
 
     The step returns the new state, the iteration's metrics (scalars; losses are means over
     its minibatches) and the intrinsic rewards. It is pure: `jax.vmap` of it trains one
@@ -241,12 +313,13 @@ def make_train_step(
 
     Args:
       agent: what learns.
-      spread: applied to the rows `[B, ...]` of every minibatch; on several devices it says
+      shard_rows: applied to the rows `[B, ...]` of every minibatch; on several devices it says
         which of them computes which rows (`jax.lax.with_sharding_constraint`).
 
     >>> from sndjax import VECTOR, ActorCritic, Experience, Rollout
-    >>> agent = Agent(ActorCritic(VECTOR, 3, value_heads=1), ppo.Hyperparameters(minibatch_size=4))
-    >>> state = init(agent, jax.random.key(0), jnp.zeros((2, 5)))
+    >>> network = ActorCritic(VECTOR, 3, value_heads=1)
+    >>> agent = AgentSpec(network, ppo.Hyperparameters(minibatch_size=4))
+    >>> state = init_train_state(agent, jax.random.key(0), jnp.zeros((2, 5)))
     >>> no, yes = jnp.zeros((4, 2), bool), jnp.ones((4, 2), bool)
     >>> rollout = Rollout(jnp.zeros((5, 2, 5)), jnp.zeros((4, 2), int), no, no, yes)
     >>> zero = jnp.zeros((4, 2))
@@ -256,8 +329,10 @@ def make_train_step(
     '1.099'
     """
 
-    def train_step(state: TrainState, batch: Experience) -> tuple[TrainState, Metrics, Any]:
-        batch = clean(batch)
+    def train_step(
+        state: TrainState, batch: Experience
+    ) -> tuple[TrainState, Metrics, Float[Array, "T N"]]:
+        batch = zero_reset_rows(batch)
         raw, valid = batch.rollout.frames, batch.rollout.valid
         scale = lambda x: scale_vectors(x, state.observations, agent.unbounded)
         batch = batch._replace(
@@ -267,14 +342,14 @@ def make_train_step(
         key, key_reward, key_policy, key_module = jax.random.split(
             jax.random.fold_in(state.key, 0), 4
         )
-        state, int_reward, metrics = intrinsic_reward(agent, state, batch, key_reward)
-        advantage, target = advantages(agent.ppo, batch, int_reward)
-        state, terms = train_policy(agent, state, batch, advantage, target, key_policy, spread)
+        state, int_reward, metrics = compute_intrinsic_rewards(agent, state, batch, key_reward)
+        advantage, target = compute_advantages(agent.ppo, batch, int_reward)
+        state, terms = update_policy(agent, state, batch, advantage, target, key_policy, shard_rows)
         metrics |= terms
-        state, terms = train_module(agent, state, batch, key_module, spread)
+        state, terms = update_intrinsic_module(agent, state, batch, key_module, shard_rows)
         metrics |= terms
         if any(agent.unbounded):
-            moments = update_moments(state.observations, raw[:-1], valid)
+            moments = update_running_statistics(state.observations, raw[:-1], valid)
             state = state._replace(observations=moments)
         return state._replace(key=key, iteration=state.iteration + 1), metrics, int_reward
 

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from builders import KINDS, rollout
+from sndjax.make_module import OBJECTIVES, make_module_from_recipe
 
 import sndjax
-from sndjax import transitions
+from sndjax import gather_transitions
 from sndjax.algorithms import NAMED
-from sndjax.grid import OBJECTIVES, cell
 
 MODULES = {name: make for name, make in NAMED.items() if make is not None}
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -28,7 +28,7 @@ CELLS = {
 
 def start(module, batch):
     params, state = jax.jit(module.init)(jax.random.key(0), batch.frames[0])
-    rows = transitions(batch, jnp.arange(batch.action.size))
+    rows = gather_transitions(batch, jnp.arange(batch.action.size))
     return params, state, (rows, batch, jax.random.key(2))
 
 
@@ -50,7 +50,7 @@ def test_there_are_the_thirteen_of_the_thesis():
 def test_a_name_is_a_cell_of_the_grid(name):
     batch = rollout(VECTOR, np.random.default_rng(0))
     named = value(MODULES[name](VECTOR.actions, VECTOR.size), batch)
-    same = value(sndjax.grid(*CELLS[name], VECTOR.actions, VECTOR.size), batch)
+    same = value(sndjax.make_module(*CELLS[name], VECTOR.actions, VECTOR.size), batch)
     jax.tree.map(np.testing.assert_array_equal, named, same)
 
 
@@ -62,7 +62,9 @@ def test_rnd_subtracts_the_mean_reads_half_a_sum_and_keeps_a_quarter():
     assert set(params) == {"signal"}  # the target is no parameter: no optimizer sees it
     reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
     mean = OBJECTIVES["none"]._replace(distillation={"reading": "mean"})
-    plain = cell(mean, "distillation", VECTOR.actions, VECTOR.size, preprocess="mean")
+    plain = make_module_from_recipe(
+        mean, "distillation", VECTOR.actions, VECTOR.size, preprocess="mean"
+    )
     other, _ = jax.jit(plain.reward)(params, state, batch, jax.random.key(1))
     np.testing.assert_allclose(reward, other * 16 / 2, rtol=1e-5)
 
@@ -71,7 +73,9 @@ def test_std_sums_its_distillation_and_spreads_where_sp_does_not():
     batch = rollout(VECTOR, np.random.default_rng(0))
     std, terms = value(MODULES["snd_std"](VECTOR.actions, VECTOR.size), batch)
     recipe = OBJECTIVES["st_dim"]._replace(distillation={})
-    _, mean = value(cell(recipe, "distillation", VECTOR.actions, VECTOR.size), batch)
+    _, mean = value(
+        make_module_from_recipe(recipe, "distillation", VECTOR.actions, VECTOR.size), batch
+    )
     entries = 16 * int(batch.valid.sum())
     np.testing.assert_allclose(
         terms["distillation_loss"], mean["distillation_loss"] * entries, rtol=1e-4
@@ -103,15 +107,17 @@ def test_qrnd_tells_actions_apart_in_one_state_and_rnd_does_not():
 
 def test_an_action_is_an_input_of_distillation_alone():
     with pytest.raises(ValueError, match="action_input"):
-        cell(OBJECTIVES["vicreg"], "distillation", 3, VECTOR.size, action_input=True)
+        make_module_from_recipe(
+            OBJECTIVES["vicreg"], "distillation", 3, VECTOR.size, action_input=True
+        )
     with pytest.raises(ValueError, match="action_input"):
-        cell(OBJECTIVES["none"], "noveld", 3, VECTOR.size, action_input=True)
+        make_module_from_recipe(OBJECTIVES["none"], "noveld", 3, VECTOR.size, action_input=True)
 
 
 @pytest.mark.parametrize("words", [("slow", "distillation"), ("vicreg", "surprise")])
 def test_unknown_names_are_refused_with_the_known_ones(words):
     with pytest.raises(ValueError, match="there is"):
-        sndjax.grid(*words, 3, VECTOR.size)
+        sndjax.make_module(*words, 3, VECTOR.size)
 
 
 @pytest.mark.parametrize("kind", [KINDS[0]], ids=lambda kind: kind.name)

@@ -14,7 +14,16 @@ import optax
 import pytest
 from builders import KINDS, frames, rollout
 
-from sndjax import ATARI, PROCGEN, VECTOR, Rollout, consecutive, grid, networks, transitions
+from sndjax import (
+    ATARI,
+    PROCGEN,
+    VECTOR,
+    Rollout,
+    gather_transitions,
+    make_module,
+    networks,
+    slice_transitions,
+)
 from sndjax.grid import COPYING, OBJECTIVES, SIGNALS
 from sndjax.networks import convolve  # before it is replaced
 
@@ -52,10 +61,12 @@ class Case(NamedTuple):
 
 @functools.lru_cache(maxsize=1)
 def case(objective, signal, kind):
-    module = grid(objective, signal, kind.actions, kind.size)
+    module = make_module(objective, signal, kind.actions, kind.size)
     batch = rollout(kind, np.random.default_rng(0))
     params, state = jax.jit(module.init)(jax.random.key(0), batch.frames[0])
-    return Case(module, params, state, batch, transitions(batch, jnp.arange(batch.action.size)))
+    return Case(
+        module, params, state, batch, gather_transitions(batch, jnp.arange(batch.action.size))
+    )
 
 
 def whole(module):
@@ -94,8 +105,8 @@ def test_rows_that_share_their_frames_give_the_same_loss_and_gradients(objective
     module, params, state, batch, _ = case(objective, signal, kind)
     envs = batch.action.shape[1]
     start, count = 2 * envs, 5 * envs
-    drawn = transitions(batch, jnp.arange(start, start + count))
-    shared = consecutive(batch, jnp.int32(start), count)
+    drawn = gather_transitions(batch, jnp.arange(start, start + count))
+    shared = slice_transitions(batch, jnp.int32(start), count)
     assert shared.frames.shape[0] == count + envs
     assert not np.all(drawn.valid)
     loss = lambda p, rows: module.loss(p, state, rows, batch, jax.random.key(2))
@@ -226,7 +237,7 @@ def test_each_loss_falls_and_what_was_seen_often_is_less_novel(objective, signal
     )
     params = made.params
     if signal in TRAINED:
-        params, _ = learn(transitions(calm, jnp.arange(steps * envs)), "signal")
+        params, _ = learn(gather_transitions(calm, jnp.arange(steps * envs)), "signal")
     reward = jax.jit(made.module.reward)
     _, state = reward(params, made.state, calm, jax.random.key(1))
     still[5, 2] = new
@@ -265,7 +276,7 @@ def test_full_sizes_have_their_shapes(objective, signal, kind):
     steps, envs, actions = 4, 8, 15
     abstract = lambda shape, dtype: jax.ShapeDtypeStruct(shape, dtype)
     flags = abstract((steps, envs), bool)
-    module = grid(objective, signal, actions, size)
+    module = make_module(objective, signal, actions, size)
     key = jax.eval_shape(lambda: jax.random.key(0))
     batch = Rollout(
         abstract((steps + 1, envs, *shape), dtype),
@@ -278,7 +289,7 @@ def test_full_sizes_have_their_shapes(objective, signal, kind):
     reward, after = jax.eval_shape(module.reward, params, state, batch, key)
     assert (reward.shape, reward.dtype) == ((steps, envs), jnp.float32)
     assert jax.tree.map(lambda x: x.shape, after) == jax.tree.map(lambda x: x.shape, state)
-    rows = jax.eval_shape(lambda b: transitions(b, jnp.arange(16)), batch)
+    rows = jax.eval_shape(lambda b: gather_transitions(b, jnp.arange(16)), batch)
     loss, metrics = jax.eval_shape(module.loss, params, state, rows, batch, key)
     for value in (loss, *metrics.values()):
         assert (value.shape, value.dtype) == ((), jnp.float32)

@@ -7,7 +7,7 @@ import pytest
 
 from sndjax import ATARI, PROCGEN, SMALL, VECTOR, ActorCritic, snd_std
 from sndjax.algorithms import NAMED
-from sndjax.grid import OBJECTIVES, networks
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
 
 def count(tree):
@@ -109,7 +109,7 @@ def test_actor_critic_has_the_parameters_of_the_table(kind, stack, parameters):
 )
 def test_local_map_is_the_third_layer(kind, local):
     _, size, _ = FRAMES[kind]
-    target, _ = networks(OBJECTIVES["st_dim"], size, "elu", "asymmetric")
+    target, _ = make_encoder_and_predictor(OBJECTIVES["st_dim"], size, "elu", "asymmetric")
     params = jax.eval_shape(target.init, jax.random.key(0), example(kind))
     z, maps = jax.eval_shape(target.apply, params, example(kind))
     assert z.shape == (2, size.features)
@@ -169,7 +169,7 @@ def test_motivation_networks_have_the_gains_and_activations_of_the_table(
         ("relu", "relu", "relu"),
         ("published", "elu" if objective in ("none", "contrastive") else "relu", "elu"),
     ):
-        made = networks(recipe, ATARI, activation, "asymmetric")
+        made = make_encoder_and_predictor(recipe, ATARI, activation, "asymmetric")
         assert [(n.activation, n.extra_activation) for n in made] == [(torso, between)] * 2
         assert made[0].gain == pytest.approx(encoder)
         if learned is not None:
@@ -181,7 +181,7 @@ def test_motivation_networks_have_the_gains_and_activations_of_the_table(
     [("asymmetric", (1, 3)), ("one_linear", (1, 1)), ("two_linear", (2, 2)), ("relu", (1, 1))],
 )
 def test_pairings_are_those_of_figure_5_4(pairing, linear):
-    target, learned = networks(OBJECTIVES["vicreg"], PROCGEN, "elu", pairing)
+    target, learned = make_encoder_and_predictor(OBJECTIVES["vicreg"], PROCGEN, "elu", pairing)
     assert (target.extra + 1, learned.extra + 1) == linear
     same = target.convolutions == learned.convolutions
     assert same == (pairing != "asymmetric")

@@ -4,14 +4,14 @@ import pytest
 from builders import KINDS, experience, rollout
 
 from sndjax.rollout import (
-    Stack,
-    channels,
-    consecutive,
-    map_steps,
-    push,
-    stacker,
-    transitions,
-    without_invalid,
+    FrameStack,
+    gather_transitions,
+    make_frame_stacker,
+    map_over_time,
+    push_frame,
+    slice_transitions,
+    stack_to_channels,
+    zero_invalid_rows,
 )
 
 ATARI = KINDS[0]
@@ -20,7 +20,7 @@ ATARI = KINDS[0]
 def test_transitions_are_the_rows_of_the_rollout():
     made = rollout(ATARI, np.random.default_rng(0), steps=5, envs=3)
     index = jnp.array([7, 0, 14, 7])
-    batch = transitions(made, index)
+    batch = gather_transitions(made, index)
     for row, i in enumerate(index):
         t, n = divmod(int(i), 3)
         np.testing.assert_array_equal(batch.frame[row], made.frames[t, n])
@@ -32,20 +32,20 @@ def test_transitions_are_the_rows_of_the_rollout():
 def test_consecutive_rows_are_the_same_rows_with_each_frame_once():
     made = rollout(ATARI, np.random.default_rng(0), steps=5, envs=3)
     for start, rows in ((0, 6), (3, 9), (4, 5), (2, 2)):
-        got = consecutive(made, jnp.int32(start), rows)
+        got = slice_transitions(made, jnp.int32(start), rows)
         assert got.frames.shape[0] == rows + 3
-        wanted = transitions(made, jnp.arange(start, start + rows))
+        wanted = gather_transitions(made, jnp.arange(start, start + rows))
         for name in ("frame", "next_frame", "action", "first", "done", "valid"):
             np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
 
 
 def test_without_invalid_clears_the_rows_that_do_not_count_and_no_others():
     made = rollout(KINDS[2], np.random.default_rng(0), chance=0.5)
-    batch = transitions(made, jnp.arange(made.action.size))
+    batch = gather_transitions(made, jnp.arange(made.action.size))
     dirty = batch._replace(
         frames=jnp.where(jnp.tile(batch.valid, 2)[:, None], batch.frames, jnp.nan)
     )
-    clean = without_invalid(dirty)
+    clean = zero_invalid_rows(dirty)
     valid = np.asarray(batch.valid)
     assert not valid.all()
     np.testing.assert_array_equal(clean.frame[valid], batch.frame[valid])
@@ -53,7 +53,7 @@ def test_without_invalid_clears_the_rows_that_do_not_count_and_no_others():
     assert np.all(np.asarray(clean.next_frame[~valid]) == 0)
 
 
-@pytest.mark.parametrize("stack", [Stack(4, True), Stack(2, False), Stack(1, True)])
+@pytest.mark.parametrize("stack", [FrameStack(4, True), FrameStack(2, False), FrameStack(1, True)])
 @pytest.mark.parametrize("seed", range(5))
 def test_stacks_of_a_minibatch_are_those_pushed_while_acting(stack, seed):
     rng = np.random.default_rng(seed)
@@ -65,22 +65,22 @@ def test_stacks_of_a_minibatch_are_those_pushed_while_acting(stack, seed):
     window = jnp.concatenate([window[:1], window[:-1]])
     seen = []
     for t in range(steps):
-        window = push(window, made.frames[t], made.first[t], stack.repeat)
+        window = push_frame(window, made.frames[t], made.first[t], stack.repeat)
         if t == 0:
             batch = batch._replace(history=window[:-1])
-        seen.append(channels(window))
+        seen.append(stack_to_channels(window))
     wanted = jnp.stack(seen).reshape(steps * envs, *seen[0].shape[1:])
     index = jnp.asarray(rng.permutation(steps * envs))
     valid = np.asarray(made.valid).reshape(-1)[np.asarray(index)]
-    got = stacker(batch, stack)(index)
+    got = make_frame_stacker(batch, stack)(index)
     np.testing.assert_array_equal(got[valid], wanted[index][valid])
 
 
 def test_a_new_episode_sees_nothing_of_the_one_before():
     old, new = jnp.full((3, 2, 1), 7, jnp.uint8), jnp.full((2, 1), 9, jnp.uint8)
     first = jnp.array([True, False])
-    repeated = push(old, new, first, True)
-    zeros = push(old, new, first, False)
+    repeated = push_frame(old, new, first, True)
+    zeros = push_frame(old, new, first, False)
     np.testing.assert_array_equal(repeated[:, 0, 0], [9, 9, 9])
     np.testing.assert_array_equal(zeros[:, 0, 0], [0, 0, 9])
     for window in (repeated, zeros):
@@ -90,5 +90,5 @@ def test_a_new_episode_sees_nothing_of_the_one_before():
 @pytest.mark.parametrize(("steps", "envs"), [(7, 3), (6, 400), (1, 1)])
 def test_map_steps_applies_to_every_frame(steps, envs):
     x = np.random.default_rng(0).normal(size=(steps, envs, 2)).astype(np.float32)
-    got = map_steps(lambda frames: frames.sum(-1), jnp.asarray(x))
+    got = map_over_time(lambda frames: frames.sum(-1), jnp.asarray(x))
     np.testing.assert_allclose(got, x.sum(-1), rtol=1e-5)

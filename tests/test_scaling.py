@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sndjax import scale_reward
-from sndjax.statistics import init_return_scale
+from sndjax.statistics import init_return_statistics
 
 
 @settings(deadline=None, max_examples=20)
@@ -12,7 +12,7 @@ from sndjax.statistics import init_return_scale
 def test_the_thesis_scale_is_a_clip(seed, eta):
     signal = np.random.default_rng(seed).exponential(size=(5, 3)).astype(np.float32)
     valid = jnp.ones((5, 3), bool)
-    scale = init_return_scale(3)
+    scale = init_return_statistics(3)
     reward, clipped, after = scale_reward(jnp.asarray(signal), valid, scale, "none", eta, 0.99)
     scaled = np.float32(eta) * signal
     np.testing.assert_allclose(reward, np.clip(scaled, 0, 1), rtol=1e-6, atol=1e-30)
@@ -25,7 +25,7 @@ def test_running_std_divides_by_the_deviation_of_the_discounted_sum_over_time():
     signal = rng.exponential(size=(2, 6, 3)).astype(np.float32)
     valid = rng.random((2, 6, 3)) < 0.8
     signal[~valid] = 0
-    scale, sums, seen = init_return_scale(3), np.zeros(3), []
+    scale, sums, seen = init_return_statistics(3), np.zeros(3), []
     for part in range(2):
         reward, clipped, scale = scale_reward(
             jnp.asarray(signal[part]), jnp.asarray(valid[part]), scale, "running_std", 5.0, 0.9

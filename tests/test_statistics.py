@@ -5,13 +5,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sndjax.statistics import (
-    deviation,
-    init_return_scale,
+    init_return_statistics,
+    init_running_statistics,
     masked_mean,
-    no_moments,
     safe_sqrt,
-    update_moments,
-    update_return_scale,
+    std,
+    update_return_statistics,
+    update_running_statistics,
 )
 
 
@@ -32,14 +32,14 @@ def test_safe_sqrt_is_the_square_root_with_gradient_zero_at_zero():
     np.testing.assert_allclose(gradient[1:], 0.5 / np.sqrt(x[1:]), rtol=1e-6)
 
 
-jitted_update = jax.jit(update_moments)
+jitted_update = jax.jit(update_running_statistics)
 
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from([1, 5]), min_size=1, max_size=4))
 def test_moments_are_those_of_all_valid_samples_however_they_are_split(seed, lengths):
     rng = np.random.default_rng(seed)
-    moments, seen = no_moments((2,)), []
+    moments, seen = init_running_statistics((2,)), []
     for length in lengths:
         x = rng.normal(3, 2, (length, 3, 2)).astype(np.float32)
         valid = rng.random((length, 3)) < 0.7
@@ -55,35 +55,40 @@ def test_moments_are_those_of_all_valid_samples_however_they_are_split(seed, len
 
 def test_moments_take_in_pixels_through_a_conversion():
     x = np.random.default_rng(0).integers(0, 256, (5, 4, 6), dtype=np.uint8)
-    moments = update_moments(
-        no_moments((6,)), jnp.asarray(x), jnp.ones((5, 4), bool), lambda x: x / jnp.float32(255)
+    moments = update_running_statistics(
+        init_running_statistics((6,)),
+        jnp.asarray(x),
+        jnp.ones((5, 4), bool),
+        lambda x: x / jnp.float32(255),
     )
     np.testing.assert_allclose(moments.mean, (x / 255).mean((0, 1)), rtol=1e-5)
-    np.testing.assert_allclose(deviation(moments), (x / 255).std((0, 1)), rtol=1e-4)
+    np.testing.assert_allclose(std(moments), (x / 255).std((0, 1)), rtol=1e-4)
 
 
 def test_long_streams_keep_their_precision():
-    moments = no_moments(())
+    moments = init_running_statistics(())
     x, valid = jnp.full((64, 256), 0.1), jnp.ones((64, 256), bool)
     x = x.at[:, ::2].set(0.3)
-    step = jax.jit(update_moments)
+    step = jax.jit(update_running_statistics)
     for _ in range(2000):  # 32 million samples, past what float32 can count one by one
         moments = step(moments, x, valid)
     np.testing.assert_allclose(moments.mean, 0.2, rtol=1e-4)
-    np.testing.assert_allclose(deviation(moments), 0.1, rtol=1e-3)
+    np.testing.assert_allclose(std(moments), 0.1, rtol=1e-3)
 
 
 def test_return_scale_is_a_brute_force_filter_over_time():
     rng = np.random.default_rng(0)
     reward = rng.random((2, 7, 3)).astype(np.float32)
     valid = rng.random((2, 7, 3)) < 0.8
-    scale, sums, seen = init_return_scale(3), np.zeros(3), []
+    scale, sums, seen = init_return_statistics(3), np.zeros(3), []
     for part in range(2):  # the sum goes on from rollout to rollout
-        scale = update_return_scale(scale, jnp.asarray(reward[part]), jnp.asarray(valid[part]), 0.9)
+        scale = update_return_statistics(
+            scale, jnp.asarray(reward[part]), jnp.asarray(valid[part]), 0.9
+        )
         for t in range(7):
             for n in range(3):
                 if valid[part, t, n]:
                     sums[n] = 0.9 * sums[n] + reward[part, t, n]
                     seen.append(sums[n])
     np.testing.assert_allclose(scale.discounted, sums, rtol=1e-5)
-    np.testing.assert_allclose(deviation(scale.moments), np.std(seen), rtol=1e-5)
+    np.testing.assert_allclose(std(scale.moments), np.std(seen), rtol=1e-5)

@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sndjax
-from experiments.agents import first_states, over_seeds
+from experiments.training.agents import init_states, map_over_seeds
 from sndjax import ppo
 from sndjax.algorithms import NAMED
-from sndjax.train import train_module
+from sndjax.train import update_intrinsic_module
 
 STACKS = {
-    "atari": sndjax.Stack(4, True),
-    "procgen": sndjax.Stack(2, False),
-    "vector": sndjax.Stack(),
+    "atari": sndjax.FrameStack(4, True),
+    "procgen": sndjax.FrameStack(2, False),
+    "vector": sndjax.FrameStack(),
 }
 STEPS, ENVS = 8, 4
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -30,11 +30,13 @@ def made(name, kind, **changes):
     motivation = None
     if make is not None:
         module = make(kind.actions, kind.size)
-        motivation = sndjax.Motivation(module, eta=1.0, learning_rate=1e-3, minibatch_size=16)
+        motivation = sndjax.IntrinsicConfig(module, eta=1.0, learning_rate=1e-3, minibatch_size=16)
     hyper = ppo.Hyperparameters(minibatch_size=8, epochs=2, learning_rate=1e-3, **changes)
     network = sndjax.ActorCritic(kind.size, kind.actions, 2 if motivation else 1)
-    agent = sndjax.Agent(network, hyper, motivation, STACKS[kind.name])
-    state = jax.jit(functools.partial(sndjax.init, agent))(jax.random.key(0), example(kind))
+    agent = sndjax.AgentSpec(network, hyper, motivation, STACKS[kind.name])
+    state = jax.jit(functools.partial(sndjax.init_train_state, agent))(
+        jax.random.key(0), example(kind)
+    )
     return agent, state, jax.jit(sndjax.make_train_step(agent))
 
 
@@ -156,14 +158,14 @@ def test_lone_frames_of_reset_rows_are_never_seen():
 def test_a_seed_among_others_learns_what_it_learns_alone(name, kind):
     agent, _, _ = made(name, kind)
     seeds = [5, 6]
-    states = first_states(agent, seeds, example(kind))
+    states = init_states(agent, seeds, example(kind))
     batches = [batch_for(kind, seed, heads(name)) for seed in range(2)]
     train_step = sndjax.make_train_step(agent)
-    together = jax.jit(over_seeds(train_step, 2))(
+    together = jax.jit(map_over_seeds(train_step, 2))(
         states, jax.tree.map(lambda *x: jnp.stack(x), *batches)
     )
-    alone = jax.jit(over_seeds(train_step, 1))
-    init = jax.jit(functools.partial(sndjax.init, agent))
+    alone = jax.jit(map_over_seeds(train_step, 1))
+    init = jax.jit(functools.partial(sndjax.init_train_state, agent))
     for i, batch in enumerate(batches):
         state = init(jax.random.key(seeds[i]), example(kind))
         equal(state.policy, jax.tree.map(lambda x: x[i], states.policy), rtol=1e-5, atol=1e-6)  # noqa: B023
@@ -201,13 +203,13 @@ def test_on_a_fixed_rollout_the_distillation_loss_falls_over_ten_updates(name, k
     """
     agent, state, _ = made(name, kind)
     batch = batch_for(kind)
-    step = jax.jit(lambda state, key: train_module(agent, state, batch, key))
+    step = jax.jit(lambda state, key: update_intrinsic_module(agent, state, batch, key))
     copies, losses = [state.intrinsic["signal"]], []
     for key in jax.random.split(jax.random.key(0), 10):
         state, metrics = step(state, key)
         copies.append(state.intrinsic["signal"])
         losses.append(float(metrics["distillation_loss"]))
-    rows = sndjax.transitions(batch.rollout, jnp.arange(STEPS * ENVS))
+    rows = sndjax.gather_transitions(batch.rollout, jnp.arange(STEPS * ENVS))
     module = agent.motivation.module
 
     @jax.jit
@@ -227,9 +229,11 @@ def test_on_a_fixed_rollout_the_distillation_loss_falls_over_ten_updates(name, k
 def test_a_signal_that_trains_nothing_on_a_frozen_encoder_is_a_bonus_too(signal):
     kind = KINDS[2]
     agent, _, _ = made("rnd", kind)
-    module = sndjax.grid("none", signal, kind.actions, kind.size)
+    module = sndjax.make_module("none", signal, kind.actions, kind.size)
     agent = agent._replace(motivation=agent.motivation._replace(module=module))
-    state = jax.jit(functools.partial(sndjax.init, agent))(jax.random.key(0), example(kind))
+    state = jax.jit(functools.partial(sndjax.init_train_state, agent))(
+        jax.random.key(0), example(kind)
+    )
     assert not jax.tree.leaves(state.intrinsic)
     after, metrics, int_reward = jax.jit(sndjax.make_train_step(agent))(state, batch_for(kind))
     assert np.all(np.isfinite(int_reward))
@@ -240,7 +244,7 @@ def test_a_signal_that_trains_nothing_on_a_frozen_encoder_is_a_bonus_too(signal)
 
 def test_the_published_mask_is_done_the_wrong_way_round():
     """r - V within episodes, and a bootstrap across their ends (by hand, one environment)."""
-    from sndjax.train import advantages
+    from sndjax.train import compute_advantages
 
     no, yes = jnp.zeros((3, 1), bool), jnp.ones((3, 1), bool)
     done = no.at[1].set(True)
@@ -249,10 +253,10 @@ def test_the_published_mask_is_done_the_wrong_way_round():
     zero = jnp.zeros((3, 1))
     batch = sndjax.Experience(rollout, jnp.zeros((0, 1, 1)), reward, no, zero, value)
     hyper = ppo.Hyperparameters(gamma_ext=0.5, gae_lambda=1.0, ext_weight=1.0, published_mask=True)
-    got, _ = advantages(hyper, batch, zero)
+    got, _ = compute_advantages(hyper, batch, zero)
     last = 3 - 30
     np.testing.assert_allclose(got[:, 0], [1 - 10, 2 + 0.5 * 30 - 20 + 0.5 * last, last])
-    right, _ = advantages(hyper._replace(published_mask=False), batch, zero)
+    right, _ = compute_advantages(hyper._replace(published_mask=False), batch, zero)
     np.testing.assert_allclose(
         right[:, 0], [1 + 0.5 * 20 - 10 + 0.5 * (2 - 20), 2 - 20, 3 + 0.5 * 40 - 30]
     )
@@ -287,7 +291,7 @@ def test_unbounded_components_are_divided_by_what_was_seen_before_this_iteration
     kind = KINDS[2]
     agent, _, _ = made("rnd", kind)
     agent = agent._replace(unbounded=(True, False, True, False, False))
-    state = sndjax.init(agent, jax.random.key(0), example(kind))
+    state = sndjax.init_train_state(agent, jax.random.key(0), example(kind))
     step = jax.jit(sndjax.make_train_step(agent))
     batch = batch_for(kind)
     scaled, _, _ = step(state, batch)

@@ -1,4 +1,7 @@
-"""Objectives: what shapes an encoder. Each file has one, of its own name."""
+"""Objectives: what shapes an encoder. Each file has one constructor, of its own name.
+
+An objective knows nothing of signals, agents or training steps.
+"""
 
 from sndjax.objectives.barlow_twins import barlow_twins as barlow_twins
 from sndjax.objectives.byol import byol as byol

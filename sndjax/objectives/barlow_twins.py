@@ -2,10 +2,10 @@
 
 import chex
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from sndjax.statistics import expand, masked_mean, masked_sum, valid_count
-from sndjax.types import Metrics, Objective
+from sndjax.statistics import broadcast_mask, masked_mean, masked_sum, valid_count
+from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
 
 
 def barlow_twins_loss(
@@ -13,8 +13,8 @@ def barlow_twins_loss(
     z_next: Float[Array, "B d"],
     valid: Bool[Array, " B"],
     redundancy: float = 5e-3,
-) -> tuple[Float[Array, ""], Metrics]:
-    """Barlow Twins over the n valid rows, on features normalised along the batch::
+) -> Loss:
+    """Compute Barlow Twins over the n valid rows, on features normalised along the batch::
 
         L = sum_i (1 - C_ii)^2 + lambda sum_i sum_{j != i} C_ij^2                 (3.11)
         C = 1/n sum_b z^_b z^'_b^T,  z^ = (z - mean) / sqrt(variance + 1e-5), the one with 1/n
@@ -23,9 +23,13 @@ def barlow_twins_loss(
     consecutive states stand for their two views.)
 
     Args:
-      z, z_next: features of s_t and of s_t+1.
+      z: features of s_t.
+      z_next: features of s_t+1.
       valid: the rows that count.
       redundancy: lambda.
+
+    Returns:
+      The scalar loss and its two terms, unweighted.
 
     >>> z = jnp.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]])
     >>> barlow_twins_loss(z, z, jnp.ones(4, bool))[0].round(6)
@@ -34,12 +38,12 @@ def barlow_twins_loss(
     chex.assert_equal_shape([z, z_next])
     count = valid_count(valid, z.dtype)
 
-    def normalised(z):
+    def normalise(z: Float[Array, "B d"]) -> Float[Array, "B d"]:
         centred = z - masked_mean(z, valid)[None]
-        centred = jnp.where(expand(valid, z), centred, jnp.zeros_like(z))
+        centred = jnp.where(broadcast_mask(valid, z), centred, jnp.zeros_like(z))
         return centred / jnp.sqrt(masked_sum(centred**2, valid) / count + 1e-5)[None]
 
-    correlation = normalised(z).T @ normalised(z_next) / count
+    correlation = normalise(z).T @ normalise(z_next) / count
     own = jnp.eye(z.shape[1], dtype=bool)
     invariance = jnp.sum((1 - jnp.diagonal(correlation)) ** 2)
     others = jnp.sum(jnp.where(own, jnp.zeros_like(correlation), correlation) ** 2)
@@ -50,16 +54,23 @@ def barlow_twins_loss(
 
 
 def barlow_twins(redundancy: float = 5e-3) -> Objective:
-    """The Barlow Twins objective (eq. 3.11), without parameters. See `barlow_twins_loss`.
+    """Make the Barlow Twins objective (eq. 3.11), without parameters. See `barlow_twins_loss`.
 
-    >>> barlow_twins().init(None, None, 18)
-    {}
+    >>> barlow_twins()
+    barlow_twins(redundancy=0.005)
     """
 
-    def init(key, features, num_actions):
+    def init(key: PRNGKeyArray, features: Features, num_actions: int) -> Params:
         return {}
 
-    def loss(params, encode, features, batch, rollout, key):
+    def loss(
+        params: Params,
+        encode: Encode,
+        features: Features,
+        batch: Transition,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> Loss:
         return barlow_twins_loss(features.z, features.z_next, batch.valid, redundancy)
 
-    return Objective(init, loss)
+    return Objective(init, loss, name="barlow_twins", settings={"redundancy": redundancy})

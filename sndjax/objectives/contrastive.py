@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.convolution import to_float
-from sndjax.statistics import expand
-from sndjax.types import Metrics, Objective
+from sndjax.statistics import broadcast_mask
+from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
 
 TILES = (1, 2, 4, 8, 12, 16)  # sides in pixels; those that divide the image are used
 NOISE = 0.2
@@ -15,8 +15,8 @@ NOISE = 0.2
 
 def contrastive_loss(
     za: Float[Array, "P d"], zb: Float[Array, "P d"], far: Bool[Array, " P"], bound: float = 200.0
-) -> tuple[Float[Array, ""], Metrics]:
-    """Distance 0 for near pairs, 1 for far ones, and features that stay small, over P pairs::
+) -> Loss:
+    """Compute the contrastive loss over P pairs: distance 0 if near, 1 if far, small features::
 
         L = mean_p (y_p - mean_j (za_pj - zb_pj)^2)^2
             + max(0, mean(za^2) + mean(zb^2) - bound),     y = 1 where far, else 0
@@ -24,9 +24,13 @@ def contrastive_loss(
     SND-V of the published experiments (article arXiv 2302.11563).
 
     Args:
-      za, zb: features of both views of each pair.
-      far: whether the pair's states differ.
+      za: features of the first view of each pair.
+      zb: features of the second view.
+      far: the pair's states differ.
       bound: what the mean squares may reach together before they cost.
+
+    Returns:
+      The scalar loss and its two terms.
 
     >>> z = jnp.ones((2, 3))
     >>> contrastive_loss(z, z, jnp.array([False, True]))[0]
@@ -42,10 +46,18 @@ def contrastive_loss(
 def draw_pairs(
     key: PRNGKeyArray, valid: Bool[Array, " M"], pairs: int
 ) -> tuple[Int[Array, " P"], Int[Array, " P"], Bool[Array, " P"]]:
-    """Indices of both states of each pair among the valid rows, and which pairs are far.
+    """Draw the rows of both states of each pair among the valid rows.
 
     The first half (rounded up) is far: two different rows, uniformly drawn. A near pair is one
     row twice. Where only one row is valid, far pairs are of that row too; with none, of row 0.
+
+    Args:
+      key: of the draws.
+      valid: the rows that may be drawn.
+      pairs: P.
+
+    Returns:
+      The row of each pair's first state, of its second, and which pairs are far.
     """
     key_one, key_other = jax.random.split(key)
     rank = jnp.cumsum(valid, dtype=jnp.int32)
@@ -58,7 +70,7 @@ def draw_pairs(
 
 
 def augment(key: PRNGKeyArray, x: Float[Array, "P *frame"]) -> Float[Array, "P *frame"]:
-    """Tiles of zeros, then uniform noise in +-0.2, each for half of the samples; no clipping.
+    """Add tiles of zeros, then uniform noise in +-0.2, each to half of the samples; no clipping.
 
     Tiles are square, of one side per call, and each is zero with probability 0.1; the tiles of
     a vector are its elements.
@@ -77,25 +89,32 @@ def augment(key: PRNGKeyArray, x: Float[Array, "P *frame"]) -> Float[Array, "P *
         zeroed = jax.random.bernoulli(key_tile, jnp.float32(0.1), x.shape)
     half = jnp.float32(0.5)
     tiled = jax.random.bernoulli(key_tiled, half, (samples,))
-    x = jnp.where(expand(tiled, x) & zeroed, jnp.zeros_like(x), x)
+    x = jnp.where(broadcast_mask(tiled, x) & zeroed, jnp.zeros_like(x), x)
     noise = jax.random.uniform(key_noise, x.shape, jnp.float32, -NOISE, NOISE)
     noised = jax.random.bernoulli(key_noised, half, (samples,))
-    return jnp.where(expand(noised, x), x + noise.astype(x.dtype), x)
+    return jnp.where(broadcast_mask(noised, x), x + noise.astype(x.dtype), x)
 
 
 def contrastive() -> Objective:
-    """The objective of SND-V: B/8 pairs of the whole rollout, drawn afresh for each minibatch.
+    """Make the objective of SND-V: B/8 pairs of the whole rollout, drawn for each minibatch.
 
     It reads neither the minibatch nor any s_t+1. See `contrastive_loss`.
 
-    >>> contrastive().pairs
+    >>> contrastive().needs_pairs
     False
     """
 
-    def init(key, features, num_actions):
+    def init(key: PRNGKeyArray, features: Features, num_actions: int) -> Params:
         return {}
 
-    def loss(params, encode, features, batch, rollout, key):
+    def loss(
+        params: Params,
+        encode: Encode,
+        features: Features,
+        batch: Transition,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> Loss:
         key_pairs, key_one, key_other = jax.random.split(key, 3)
         pairs = max(2, batch.valid.shape[0] // 8)
         one, other, far = draw_pairs(key_pairs, rollout.valid.reshape(-1), pairs)
@@ -104,4 +123,4 @@ def contrastive() -> Objective:
         zb, _ = encode(augment(key_other, to_float(frames[other])))
         return contrastive_loss(za, zb, far)
 
-    return Objective(init, loss, pairs=False)
+    return Objective(init, loss, needs_pairs=False, name="contrastive")

@@ -5,21 +5,29 @@ from typing import cast
 import chex
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from sndjax.networks import Perceptron
+from sndjax.networks import MLP, mlp_widths
 from sndjax.statistics import masked_mean
-from sndjax.types import Metrics, Objective
+from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
 
 
 def inverse_dynamics_loss(
     logits: Float[Array, "B A"], action: Int[Array, " B"], valid: Bool[Array, " B"]
-) -> tuple[Float[Array, ""], Metrics]:
-    """Cross-entropy of the inverse model's logits against the chosen action, over n valid rows::
+) -> Loss:
+    """Compute the inverse model's cross-entropy against the chosen action, over n valid rows::
 
         L = -1/n sum_i log softmax(logits_i)[a_i]                                 (5.8)
 
     The equation prints d for n; the published VINV puts probabilities where logits belong.
+
+    Args:
+      logits: of the inverse model.
+      action: the one that the policy chose.
+      valid: the rows that count.
+
+    Returns:
+      The scalar loss, and the loss with the share of rows whose action was told.
 
     >>> loss, _ = inverse_dynamics_loss(jnp.zeros((2, 4)), jnp.array([0, 3]), jnp.ones(2, bool))
     >>> loss.round(4)
@@ -33,29 +41,32 @@ def inverse_dynamics_loss(
 
 
 def inverse_dynamics(last: float = 1.0) -> Objective:
-    """An inverse model of 2d -> d -> last * d -> A tells the action from z_t and z_t+1.
+    """Make an inverse model of 2d -> d -> last * d -> A that tells the action from z_t and z_t+1.
 
     ICM's is `last=1`, SND-VINV's `last=1/2`. See `inverse_dynamics_loss`. Its `init` raises
     ValueError where there are fewer than two actions to tell apart.
 
-    >>> inverse_dynamics()  # doctest: +ELLIPSIS
-    Objective(init=...)
+    >>> inverse_dynamics()
+    inverse_dynamics(last=1.0)
     """
 
-    def model_of(z: Array, num_actions: int) -> Perceptron:
-        width = z.shape[-1]
-        return Perceptron((width, int(last * width), num_actions))
-
-    def init(key, features, num_actions):
+    def init(key: PRNGKeyArray, features: Features, num_actions: int) -> Params:
         if num_actions < 2:
             raise ValueError(f"inverse dynamics needs at least 2 actions, not {num_actions}")
+        width = features.z.shape[-1]
         both = jnp.concatenate([features.z, features.z_next], axis=-1)
-        return model_of(features.z, num_actions).init(key, both)
+        return MLP((width, int(last * width), num_actions)).init(key, both)
 
-    def loss(params, encode, features, batch, rollout, key):
-        model = model_of(features.z, params["params"]["Dense_2"]["bias"].shape[0])
+    def loss(
+        params: Params,
+        encode: Encode,
+        features: Features,
+        batch: Transition,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> Loss:
         both = jnp.concatenate([features.z, features.z_next], axis=-1)
-        logits = cast(Array, model.apply(params, both))
+        logits = cast(Array, MLP(mlp_widths(params)[1:]).apply(params, both))
         return inverse_dynamics_loss(logits, batch.action, batch.valid)
 
-    return Objective(init, loss)
+    return Objective(init, loss, name="inverse_dynamics", settings={"last": last})

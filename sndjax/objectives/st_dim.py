@@ -8,10 +8,10 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.statistics import masked_mean, safe_sqrt, valid_count
-from sndjax.types import Metrics, Objective
+from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
 
 SLICE = 12  # positions whose [B, B] logits exist at once
 
@@ -21,7 +21,7 @@ def contrast(
     candidate: Float[Array, "B P C"] | Float[Array, "B 1 C"],
     valid: Bool[Array, " B"],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Tell each state's true successor from the batch's other ones, position by position.
+    """Compute how well each state's true successor is told from the batch's other states.
 
     The logits of position p are `local[:, p] @ candidate[:, p].T`, [B, B]; row b is
     softmaxed over the valid candidates and its cross-entropy against candidate b taken.
@@ -43,7 +43,9 @@ def contrast(
     shared = candidate.shape[1] == 1
 
     @jax.checkpoint
-    def position(local, candidate):
+    def position(
+        local: Float[Array, "B C"], candidate: Float[Array, "B C"]
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         logits = local @ candidate.T
         allowed = jnp.where(valid[None, :], logits, -jnp.inf)
         # A row without a valid candidate is no row that counts; keep its softmax finite.
@@ -53,28 +55,30 @@ def contrast(
         norm = safe_sqrt(jnp.sum(jnp.where(pairs, logits, jnp.zeros_like(logits)) ** 2))
         return entropy, norm
 
-    def some(slice_):
-        local, candidate = slice_
+    def positions_slice(
+        maps: tuple[Float[Array, "B P C"], Array],
+    ) -> tuple[Float[Array, " P"], Float[Array, " P"]]:
+        local, candidate = maps
         return jax.vmap(position, in_axes=(1, None if shared else 1))(
             local, candidate[:, 0] if shared else candidate
         )
 
     together = max(g for g in range(1, min(SLICE, positions) + 1) if positions % g == 0)
 
-    def sliced(x):
+    def slices(x: Float[Array, "B IJ C"]) -> Float[Array, "S B P C"]:
         return jnp.moveaxis(x.reshape(x.shape[0], -1, together, x.shape[-1]), 1, 0)
 
     if shared:
-        entropy, norm = lax.map(lambda x: some((x, candidate)), sliced(local))
+        entropy, norm = lax.map(lambda x: positions_slice((x, candidate)), slices(local))
     else:
-        entropy, norm = lax.map(some, (sliced(local), sliced(candidate)))
+        entropy, norm = lax.map(positions_slice, (slices(local), slices(candidate)))
     return jnp.mean(entropy), jnp.mean(norm)
 
 
-def feature_spread(z: Float[Array, "B d"], valid: Bool[Array, " B"]) -> Float[Array, ""]:
-    """Unbiased standard deviation over the d components of z_t, mean over valid rows (5.5).
+def feature_std_over_dims(z: Float[Array, "B d"], valid: Bool[Array, " B"]) -> Float[Array, ""]:
+    """Compute the unbiased standard deviation over the d components of z_t, mean over valid rows (5.5).
 
-    >>> feature_spread(jnp.array([[1.0, -1.0]]), jnp.array([True])).round(4)
+    >>> feature_std_over_dims(jnp.array([[1.0, -1.0]]), jnp.array([True])).round(4)
     Array(1.4142, dtype=float32)
     """
     centred = z - jnp.mean(z, axis=-1, keepdims=True)
@@ -90,8 +94,8 @@ def st_dim_loss(
     valid: Bool[Array, " B"],
     norm_weight: float = 1e-4,
     spread_weight: float = 1e-4,
-) -> tuple[Float[Array, ""], Metrics]:
-    """ST-DIM with both regularisers, means over positions and valid rows::
+) -> Loss:
+    """Compute ST-DIM with both regularisers, means over positions and valid rows::
 
         L = L_GL + L_LL + beta_1 (p_GL + p_LL) - beta_2 mean_t std(z_t)          (5.6)
 
@@ -102,7 +106,8 @@ def st_dim_loss(
         from s_t; ST-DIM's authors and the thesis' experiments take it from s_t+1.)
       z: the features of s_t.
       valid: the rows that count, as rows and as candidates.
-      norm_weight, spread_weight: beta_1 and beta_2.
+      norm_weight: beta_1.
+      spread_weight: beta_2.
 
     Returns:
       The scalar loss and its four terms, unweighted.
@@ -112,7 +117,7 @@ def st_dim_loss(
     flat = lambda x: x.reshape(x.shape[0], -1, x.shape[-1])
     global_entropy, global_norm = contrast(flat(local), global_mapped[:, None], valid)
     local_entropy, local_norm = contrast(flat(local), flat(local_mapped), valid)
-    spread = feature_spread(z, valid)
+    spread = feature_std_over_dims(z, valid)
     norm = global_norm + local_norm
     total = global_entropy + local_entropy + norm_weight * norm - spread_weight * spread
     return total, {
@@ -124,32 +129,39 @@ def st_dim_loss(
     }
 
 
-def fan_in_uniform(key, shape, fan_in: int):
-    """Uniform in +-1/sqrt(fan_in)."""
+def fan_in_uniform(key: PRNGKeyArray, shape: tuple[int, ...], fan_in: int) -> Array:
+    """Draw weights uniformly in +-1/sqrt(fan_in).
+
+    Args:
+      key: of the draw.
+      shape: of the weights.
+      fan_in: inputs of the layer.
+    """
     bound = 1 / math.sqrt(fan_in)
     return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
 
 
 class Projection(nn.Module):
-    """A linear map that keeps a plain fan-in uniform start, weights and biases."""
+    """A linear map whose weights and biases start uniform in +-1/sqrt(fan_in)."""
 
     features: int
 
     @nn.compact
-    def __call__(self, x):
+    def __call__(self, x: Float[Array, "... n"]) -> Float[Array, "... m"]:
         fan_in = x.shape[-1]
         uniform = lambda key, shape, dtype=jnp.float32: fan_in_uniform(key, shape, fan_in)
-        return nn.Dense(self.features, kernel_init=uniform, bias_init=uniform)(x)
+        dense = nn.Dense(self.features, kernel_init=uniform, bias_init=uniform, name="Dense_0")
+        return dense(x)
 
 
 def st_dim(norm_weight: float = 1e-4, spread_weight: float = 1e-4) -> Objective:
-    """The ST-DIM objective (eq. 5.6); its parameters are two linear maps. See `st_dim_loss`.
+    """Make the ST-DIM objective (eq. 5.6); its parameters are two linear maps. See `st_dim_loss`.
 
-    >>> st_dim()  # doctest: +ELLIPSIS
-    Objective(init=...)
+    >>> st_dim()
+    st_dim(norm_weight=0.0001, spread_weight=0.0001)
     """
 
-    def init(key, features, num_actions):
+    def init(key: PRNGKeyArray, features: Features, num_actions: int) -> Params:
         key_global, key_local = jax.random.split(key)
         projection = Projection(features.local.shape[-1])
         return {
@@ -157,7 +169,14 @@ def st_dim(norm_weight: float = 1e-4, spread_weight: float = 1e-4) -> Objective:
             "local": projection.init(key_local, features.local_next),
         }
 
-    def loss(params, encode, features, batch, rollout, key):
+    def loss(
+        params: Params,
+        encode: Encode,
+        features: Features,
+        batch: Transition,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> Loss:
         projection = Projection(features.local.shape[-1])
         return st_dim_loss(
             features.local,
@@ -169,4 +188,5 @@ def st_dim(norm_weight: float = 1e-4, spread_weight: float = 1e-4) -> Objective:
             spread_weight,
         )
 
-    return Objective(init, loss)
+    settings = {"norm_weight": norm_weight, "spread_weight": spread_weight}
+    return Objective(init, loss, name="st_dim", settings=settings)

@@ -3,10 +3,10 @@
 import chex
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from sndjax.statistics import expand, masked_mean, masked_sum, valid_count
-from sndjax.types import Metrics, Objective
+from sndjax.statistics import broadcast_mask, masked_mean, masked_sum, valid_count
+from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
 
 
 def vicreg_loss(
@@ -16,8 +16,8 @@ def vicreg_loss(
     invariance: float = 1.0,
     variance: float = 1.0,
     covariance: float = 1 / 25,
-) -> tuple[Float[Array, ""], Metrics]:
-    """VICReg on the features of s_t and s_t+1, over the n valid rows::
+) -> Loss:
+    """Compute VICReg on the features of s_t and s_t+1, over the n valid rows::
 
         L   = lambda s(Z, Z') + mu [v(Z) + v(Z')] + nu [c(Z) + c(Z')]            (5.7)
         s   = 1/(n d) sum_i ||z_i - z'_i||^2                                     (3.14)
@@ -27,9 +27,12 @@ def vicreg_loss(
     The variance is unbiased too. (Bardes et al., 2022.)
 
     Args:
-      z, z_next: features of s_t and of s_t+1.
+      z: features of s_t.
+      z_next: features of s_t+1.
       valid: the rows that count.
-      invariance, variance, covariance: lambda, mu and nu.
+      invariance: lambda.
+      variance: mu.
+      covariance: nu.
 
     Returns:
       The scalar loss and its three terms, unweighted.
@@ -43,15 +46,18 @@ def vicreg_loss(
     degrees = jnp.maximum(valid_count(valid, z.dtype) - 1, 1)
     similarity = masked_mean(jnp.mean((z - z_next) ** 2, axis=-1), valid)
 
-    def spread(z):
+    def variance_and_covariance(
+        z: Float[Array, "B d"],
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         centred = z - masked_mean(z, valid)[None]
-        centred = jnp.where(expand(valid, z), centred, jnp.zeros_like(z))
-        deviation = jnp.sqrt(masked_sum(centred**2, valid) / degrees + 1e-4)
+        centred = jnp.where(broadcast_mask(valid, z), centred, jnp.zeros_like(z))
+        std = jnp.sqrt(masked_sum(centred**2, valid) / degrees + 1e-4)
         matrix = centred.T @ centred / degrees
         off_diagonal = jnp.where(jnp.eye(width, dtype=bool), 0.0, matrix)
-        return jnp.mean(jax.nn.relu(1 - deviation)), jnp.sum(off_diagonal**2) / width
+        return jnp.mean(jax.nn.relu(1 - std)), jnp.sum(off_diagonal**2) / width
 
-    hinge, redundancy = (a + b for a, b in zip(spread(z), spread(z_next), strict=True))
+    terms = zip(variance_and_covariance(z), variance_and_covariance(z_next), strict=True)
+    hinge, redundancy = (a + b for a, b in terms)
     total = invariance * similarity + variance * hinge + covariance * redundancy
     return total, {
         "vicreg_invariance": similarity,
@@ -61,18 +67,31 @@ def vicreg_loss(
 
 
 def vicreg(invariance: float = 1.0, variance: float = 1.0, covariance: float = 1 / 25) -> Objective:
-    """The VICReg objective (eq. 5.7), without parameters of its own. See `vicreg_loss`.
+    """Make the VICReg objective (eq. 5.7), without parameters of its own. See `vicreg_loss`.
 
-    >>> vicreg().init(None, None, 18)
-    {}
+    Args:
+      invariance: lambda, the weight of the distance between s_t and s_t+1.
+      variance: mu, the weight of the hinge on standard deviations.
+      covariance: nu, the weight of the covariances.
+
+    >>> vicreg()
+    vicreg(invariance=1.0, variance=1.0, covariance=0.04)
     """
 
-    def init(key, features, num_actions):
+    def init(key: PRNGKeyArray, features: Features, num_actions: int) -> Params:
         return {}
 
-    def loss(params, encode, features, batch, rollout, key):
+    def loss(
+        params: Params,
+        encode: Encode,
+        features: Features,
+        batch: Transition,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> Loss:
         return vicreg_loss(
             features.z, features.z_next, batch.valid, invariance, variance, covariance
         )
 
-    return Objective(init, loss)
+    settings = {"invariance": invariance, "variance": variance, "covariance": covariance}
+    return Objective(init, loss, name="vicreg", settings=settings)

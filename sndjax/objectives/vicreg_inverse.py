@@ -7,11 +7,12 @@ from sndjax.weighted_sum import weighted_sum
 
 
 def vicreg_inverse(iota: float = 1 / 2) -> Objective:
-    """VICReg (5.7) plus iota times the inverse model's cross-entropy (5.8): eq. 5.9.
+    """Add to VICReg (5.7) iota times the inverse model's cross-entropy (5.8): eq. 5.9.
 
     The inverse model is 2d -> d -> d/2 -> A. See `vicreg_loss` and `inverse_dynamics_loss`.
 
-    >>> vicreg_inverse()  # doctest: +ELLIPSIS
-    Objective(init=...)
+    >>> vicreg_inverse()
+    vicreg_inverse(iota=0.5)
     """
-    return weighted_sum((1, vicreg()), (iota, inverse_dynamics(last=1 / 2)))
+    both = weighted_sum((1, vicreg()), (iota, inverse_dynamics(last=1 / 2)))
+    return both._replace(name="vicreg_inverse", settings={"iota": iota})

@@ -1,4 +1,9 @@
-"""Signals: the novelty that is read off an encoder. Each file has one, of its own name."""
+"""Signals: what is read off an encoder. Each file has one constructor, of its own name.
+
+A signal knows nothing of objectives, agents or training steps. Its constructor takes a `predictor`
+network if it distils the encoder, and `gradient` if it has a forward loss; the grid and the
+configuration read that from its parameters.
+"""
 
 from sndjax.signals.disagreement import disagreement as disagreement
 from sndjax.signals.distillation import distillation as distillation

@@ -1,4 +1,4 @@
-"""Disagreement: a transition is novel where an ensemble of forward models has no one opinion."""
+"""Disagreement: a transition is novel where the ensemble's predictions disagree."""
 
 from functools import partial
 
@@ -6,15 +6,29 @@ import chex
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.rollout import map_steps
-from sndjax.signals.prediction import features_of_all, foresee, init_forward_model, prediction_loss
-from sndjax.types import Params, Signal
+from sndjax.rollout import map_over_time
+from sndjax.signals.prediction import (
+    encode_rollout,
+    init_forward_model,
+    predict_next_features,
+    prediction_loss,
+)
+from sndjax.types import (
+    EncoderView,
+    Features,
+    Loss,
+    Params,
+    Rollout,
+    Signal,
+    State,
+    Transition,
+)
 
 
 def ensemble_variance(predicted: Float[Array, "K B d"]) -> Float[Array, " B"]:
-    """Variance over the K members' predictions, mean over d (eq. 4.3).
+    """Compute the variance over the K members' predictions, mean over d (eq. 4.3).
 
     >>> ensemble_variance(jnp.array([[[1.0, 0.0]], [[3.0, 0.0]]]))
     Array([0.5], dtype=float32)
@@ -23,35 +37,56 @@ def ensemble_variance(predicted: Float[Array, "K B d"]) -> Float[Array, " B"]:
     return jnp.mean(jnp.var(predicted, axis=0), axis=-1)
 
 
-def disagreement(members: int = 5, share: float = 0.5) -> Signal:
-    """The variance of an ensemble of forward models (eq. 4.3; Pathak et al., 2019).
+def disagreement(ensemble_size: int = 5, bootstrap_fraction: float = 0.5) -> Signal:
+    """Make the variance of an ensemble of forward models (eq. 4.3; Pathak et al., 2019).
 
-    Read on (s_t, a_t). Each member sees its own random `share` of every minibatch's rows; no
-    gradient of its loss reaches the encoder.
+    Read on (s_t, a_t). Each member sees its own random `bootstrap_fraction` of every minibatch's
+    rows; no gradient of its loss reaches the encoder.
 
-    >>> disagreement()  # doctest: +ELLIPSIS
-    Signal(init=...)
+    >>> disagreement()
+    disagreement(ensemble_size=5, bootstrap_fraction=0.5)
     """
 
-    def init(key, example, features, num_actions) -> tuple[Params, dict]:
-        keys = jax.random.split(key, members)
+    def init(
+        key: PRNGKeyArray,
+        example: Shaped[Array, "N *frame"],
+        features: Features,
+        num_actions: int,
+    ) -> tuple[Params, State]:
+        keys = jax.random.split(key, ensemble_size)
         # One after another: a batched orthogonal start would be a batched QR decomposition.
         models = [init_forward_model(k, features.z, num_actions) for k in keys]
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *models), {}
 
-    def reward(params, state, view, rollout, key):
-        def variance(z, action):
-            return ensemble_variance(jax.vmap(foresee, (0, None, None))(params, z, action))
+    def reward(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> tuple[Float[Array, "T N"], State]:
+        def variance(z: Float[Array, "M d"], action: Int[Array, " M"]) -> Float[Array, " M"]:
+            predict = jax.vmap(predict_next_features, (0, None, None))
+            return ensemble_variance(predict(params, z, action))
 
-        z = features_of_all(view, rollout.frames[:-1])
-        return map_steps(variance, z, rollout.action), state
+        z = encode_rollout(view, rollout.frames[:-1])
+        return map_over_time(variance, z, rollout.action), state
 
-    def loss(params, state, view, features, batch, key):
+    def loss(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        features: Features,
+        batch: Transition,
+        key: PRNGKeyArray,
+    ) -> Loss:
         z, z_next = lax.stop_gradient(features.z), lax.stop_gradient(features.z_next)
-        rows = (members, batch.valid.shape[0])
-        counted = batch.valid[None] & jax.random.bernoulli(key, jnp.float32(share), rows)
-        predicted = jax.vmap(foresee, (0, None, None))(params, z, batch.action)
+        rows = (ensemble_size, batch.valid.shape[0])
+        drawn = jax.random.bernoulli(key, jnp.float32(bootstrap_fraction), rows)
+        counted = batch.valid[None] & drawn
+        predicted = jax.vmap(predict_next_features, (0, None, None))(params, z, batch.action)
         losses = jax.vmap(partial(prediction_loss, z_next=z_next))(predicted, valid=counted)
         return jnp.sum(losses), {"prediction_loss": jnp.mean(losses)}
 
-    return Signal(init, reward, loss, pairs=True)
+    settings = {"ensemble_size": ensemble_size, "bootstrap_fraction": bootstrap_fraction}
+    return Signal(init, reward, loss, needs_pairs=True, name="disagreement", settings=settings)

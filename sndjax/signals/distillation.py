@@ -1,4 +1,4 @@
-"""Distillation: the novelty of a state is how badly a learned network copies the encoder there."""
+"""Distillation: the novelty of a state is how badly a predictor copies the encoder there."""
 
 from typing import Literal, cast
 
@@ -6,122 +6,194 @@ import chex
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.convolution import to_float
 from sndjax.networks import Encoder
-from sndjax.rollout import map_steps
-from sndjax.statistics import expand
-from sndjax.types import Params, Signal, View
+from sndjax.rollout import map_over_time
+from sndjax.statistics import broadcast_mask
+from sndjax.types import (
+    EncoderView,
+    Features,
+    Loss,
+    Params,
+    Rollout,
+    Signal,
+    State,
+    Transition,
+)
+
+RewardReduction = Literal["mean", "half_sum"]
+LossReduction = Literal["mean", "sum"]
 
 
 def distillation_error(
-    learned: Float[Array, "B d"],
+    predictor_features: Float[Array, "B d"],
     target: Float[Array, "B d"],
-    reduction: Literal["mean", "half_sum"] = "mean",
+    reward_reduction: RewardReduction = "mean",
 ) -> Float[Array, " B"]:
-    """The novelty of each state: the squared distance of its two feature vectors (eq. 4.23).
+    """Compute the novelty of each state: the squared distance of its two feature vectors (4.23).
 
-    Mean over d of (learned - target)^2, as the published experiments have the equation's sum;
-    `half_sum`, half its sum over d, is RND's (Burda et al., 2018).
+    Args:
+      predictor_features: of the predictor.
+      target: of the encoder.
+      reward_reduction: "mean" over d of (predictor - target)^2, as the published experiments have
+        the equation's sum; "half_sum", half the sum over d, is RND's (Burda et al., 2018).
 
     >>> distillation_error(jnp.array([[2.0, 0.0]]), jnp.zeros((1, 2)))
     Array([2.], dtype=float32)
     """
-    chex.assert_equal_shape([learned, target])
-    squared = (learned - target) ** 2
-    return jnp.mean(squared, axis=-1) if reduction == "mean" else jnp.sum(squared, axis=-1) / 2
+    chex.assert_equal_shape([predictor_features, target])
+    squared = (predictor_features - target) ** 2
+    if reward_reduction == "mean":
+        return jnp.mean(squared, axis=-1)
+    return jnp.sum(squared, axis=-1) / 2
 
 
 def distillation_loss(
-    learned: Float[Array, "B d"],
+    predictor_features: Float[Array, "B d"],
     target: Float[Array, "B d"],
     valid: Bool[Array, " B"],
     key: PRNGKeyArray | None = None,
-    keep: float = 1.0,
-    reduction: Literal["mean", "sum"] = "mean",
+    update_proportion: float = 1.0,
+    loss_reduction: LossReduction = "mean",
 ) -> Float[Array, ""]:
-    """Squared error of the learned network against a target that no gradient moves.
+    """Compute the squared error of the predictor against a target that no gradient moves.
 
     Args:
-      learned, target: the features of a minibatch.
+      predictor_features: of a minibatch.
+      target: the encoder's features of it.
       valid: the rows that count.
-      key: where `keep` < 1, draws the (row, feature) entries that count this time.
-      keep: the share of entries that count (RND: a quarter).
-      reduction: over the entries that count.
+      key: where `update_proportion` < 1, draws the (row, feature) entries that count this time.
+      update_proportion: the fraction of entries that count (RND: a quarter).
+      loss_reduction: over the entries that count.
 
     >>> one = jnp.ones((2, 3))
     >>> distillation_loss(one, 3 * one, jnp.array([True, False]))
     Array(4., dtype=float32)
     """
-    chex.assert_equal_shape([learned, target])
-    counted = jnp.broadcast_to(expand(valid, learned), learned.shape)
-    if keep < 1:
-        assert key is not None, "keep < 1 draws entries with a key"
-        counted &= jax.random.bernoulli(key, jnp.float32(keep), learned.shape)
-    squared = (learned - lax.stop_gradient(target)) ** 2
+    chex.assert_equal_shape([predictor_features, target])
+    shape, dtype = predictor_features.shape, predictor_features.dtype
+    counted = jnp.broadcast_to(broadcast_mask(valid, predictor_features), shape)
+    if update_proportion < 1:
+        assert key is not None, "update_proportion < 1 draws entries with a key"
+        counted &= jax.random.bernoulli(key, jnp.float32(update_proportion), shape)
+    squared = (predictor_features - lax.stop_gradient(target)) ** 2
     total = jnp.sum(jnp.where(counted, squared, jnp.zeros_like(squared)))
-    if reduction == "sum":
+    if loss_reduction == "sum":
         return total
-    return total / jnp.maximum(jnp.sum(counted, dtype=learned.dtype), 1)
+    return total / jnp.maximum(jnp.sum(counted, dtype=dtype), 1)
 
 
-def copied(learned: Encoder, params: Params, view: View, frames, action) -> Float[Array, "B d"]:
-    """The learned network's features of a batch of frames."""
-    return cast(tuple[Array, Array], learned.apply(params, view.prepare(frames), action))[0]
+def apply_predictor(
+    predictor: Encoder,
+    params: Params,
+    view: EncoderView,
+    frames: Shaped[Array, "B *frame"],
+    action: Int[Array, " B"] | None,
+) -> Float[Array, "B d"]:
+    """Return the predictor's features of a batch of frames.
+
+    Args:
+      predictor: the network.
+      params: its weights.
+      view: how the module sees frames.
+      frames: observations.
+      action: for predictors that take the action as input (QRND).
+    """
+    return cast(tuple[Array, Array], predictor.apply(params, view.preprocess(frames), action))[0]
 
 
 def distillation(
-    learned: Encoder,
+    predictor: Encoder,
     *,
-    reading: Literal["mean", "half_sum"] = "mean",
-    reduction: Literal["mean", "sum"] = "mean",
-    keep: float = 1.0,
+    reward_reduction: RewardReduction = "mean",
+    loss_reduction: LossReduction = "mean",
+    update_proportion: float = 1.0,
 ) -> Signal:
-    """A learned network copies the encoder; its error is the novelty of s_t (eq. 4.23).
+    """Make the signal of a predictor that copies the encoder: its error at s_t (eq. 4.23).
 
-    With an encoder that stays as it was drawn this is RND; with one that an objective
-    shapes, SND. The encoder is the target: no gradient of this loss reaches it.
+    With an encoder that stays random this is RND; with one that an objective shapes, SND. The
+    encoder is the target: no gradient of this loss reaches it.
 
     Args:
-      learned: the network that copies.
-      reading: how the reward reduces over features, see `distillation_error`.
-      reduction, keep: how the loss does, see `distillation_loss`.
+      predictor: the network that copies.
+      reward_reduction: how the reward reduces over features, see `distillation_error`.
+      loss_reduction: how the loss reduces, see `distillation_loss`.
+      update_proportion: the fraction of entries that count in the loss.
 
     >>> from sndjax import VECTOR, Encoder
-    >>> distillation(Encoder((), VECTOR.hidden, VECTOR.features, gain=1.0))  # doctest: +ELLIPSIS
-    Signal(init=...)
+    >>> distillation(Encoder((), VECTOR.hidden, VECTOR.features, gain=1.0))
+    distillation(reward_reduction='mean', loss_reduction='mean', update_proportion=1.0)
     """
 
-    def init(key, example, features, num_actions):
-        return learned.init(key, to_float(example[:1]), jnp.zeros(1, jnp.int32)), {}
+    def init(
+        key: PRNGKeyArray,
+        example: Shaped[Array, "N *frame"],
+        features: Features,
+        num_actions: int,
+    ) -> tuple[Params, State]:
+        return predictor.init(key, to_float(example[:1]), jnp.zeros(1, jnp.int32)), {}
 
-    def reward(params, state, view, rollout, key):
-        def novelty(frame, action):
+    def reward(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> tuple[Float[Array, "T N"], State]:
+        def novelty(
+            frame: Shaped[Array, "M *frame"], action: Int[Array, " M"]
+        ) -> Float[Array, " M"]:
             target, _ = view.encode(frame, action)
-            return distillation_error(copied(learned, params, view, frame, action), target, reading)
+            copied = apply_predictor(predictor, params, view, frame, action)
+            return distillation_error(copied, target, reward_reduction)
 
-        return map_steps(novelty, rollout.frames[:-1], rollout.action), state
+        return map_over_time(novelty, rollout.frames[:-1], rollout.action), state
 
-    def loss(params, state, view, features, batch, key):
-        copy = copied(learned, params, view, batch.frame, batch.action)
-        total = distillation_loss(copy, features.z, batch.valid, key, keep, reduction)
+    def loss(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        features: Features,
+        batch: Transition,
+        key: PRNGKeyArray,
+    ) -> Loss:
+        copied = apply_predictor(predictor, params, view, batch.frame, batch.action)
+        total = distillation_loss(
+            copied, features.z, batch.valid, key, update_proportion, loss_reduction
+        )
         return total, {"distillation_loss": total}
 
-    return Signal(init, reward, loss)
+    settings = {
+        "reward_reduction": reward_reduction,
+        "loss_reduction": loss_reduction,
+        "update_proportion": update_proportion,
+    }
+    return Signal(init, reward, loss, name="distillation", settings=settings)
 
 
-def novelty_of_all(
-    learned: Encoder,
+def rollout_distillation_error(
+    predictor: Encoder,
     params: Params,
-    view: View,
-    frames,
+    view: EncoderView,
+    frames: Shaped[Array, "T1 N *frame"],
     z: Float[Array, "T1 N d"],
-    reading: Literal["mean", "half_sum"],
+    reward_reduction: RewardReduction,
 ) -> Float[Array, "T1 N"]:
-    """The distillation error of every frame of a rollout, whose features `z` are known."""
+    """Compute the distillation error of every frame of a rollout, whose features are known.
 
-    def novelty(frame, z):
-        return distillation_error(copied(learned, params, view, frame, None), z, reading)
+    Args:
+      predictor: the network that copies.
+      params: its weights.
+      view: how the module sees frames.
+      frames: s_0 ... s_T.
+      z: the encoder's features of them.
+      reward_reduction: over features, see `distillation_error`.
+    """
 
-    return map_steps(novelty, frames, z)
+    def novelty(frame: Shaped[Array, "M *frame"], z: Float[Array, "M d"]) -> Float[Array, " M"]:
+        copied = apply_predictor(predictor, params, view, frame, None)
+        return distillation_error(copied, z, reward_reduction)
+
+    return map_over_time(novelty, frames, z)

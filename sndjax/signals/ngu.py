@@ -1,19 +1,24 @@
 """Never Give Up: new to the episode, times new to the agent's life."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection
 from sndjax.networks import Encoder
-from sndjax.signals.distillation import distillation, novelty_of_all
-from sndjax.signals.prediction import features_of_all
-from sndjax.statistics import deviation, no_moments, update_moments
-from sndjax.types import Moments, Rollout, Signal
+from sndjax.signals.distillation import (
+    LossReduction,
+    RewardReduction,
+    distillation,
+    rollout_distillation_error,
+)
+from sndjax.signals.prediction import encode_rollout
+from sndjax.statistics import init_running_statistics, std, update_running_statistics
+from sndjax.types import EncoderView, Features, Params, Rollout, RunningStatistics, Signal
 
 
 class Memory(NamedTuple):
@@ -32,11 +37,25 @@ class Kernel(NamedTuple):
     epsilon: float = 1e-4
     cluster: float = 0.008
     constant: float = 1e-3
-    most: float = 8.0  # similarity beyond which nothing is novel
+    max_similarity: float = 8.0  # beyond which nothing is novel
 
 
-def remember(memory: Memory, z: Float[Array, "N d"], counted: Bool[Array, " N"]) -> Memory:
-    """Put a state into each memory that is `counted`, over its oldest where it is full."""
+class NGUState(NamedTuple):
+    """What Never Give Up keeps between rollouts."""
+
+    errors: RunningStatistics  # of the distillation error
+    memory: Memory
+    projection: Float[Array, "w d"] | None  # None where features are narrow enough
+
+
+def append_to_memory(memory: Memory, z: Float[Array, "N d"], counted: Bool[Array, " N"]) -> Memory:
+    """Put a state into each memory that is `counted`, over its oldest where it is full.
+
+    Args:
+      memory: of each environment.
+      z: features of one state of each.
+      counted: the environments whose state is put.
+    """
     envs = jnp.arange(z.shape[0])
     slot = memory.size % memory.z.shape[1]
     kept = jnp.where(counted[:, None], z, memory.z[envs, slot])
@@ -48,12 +67,21 @@ def remember(memory: Memory, z: Float[Array, "N d"], counted: Bool[Array, " N"])
 def episodic_novelty(
     memory: Memory, z: Float[Array, "N d"], valid: Bool[Array, " N"], kernel: Kernel
 ) -> tuple[Float[Array, " N"], Memory]:
-    """1 / (sqrt(sum over the k nearest of K(z, z_i)) + c) against what is in memory::
+    """Compute 1 / (sqrt(sum over the k nearest of K(z, z_i)) + c) against what is in memory::
 
         K(x, y) = epsilon / (max(||x - y||^2 / d_m^2 - xi, 0) + epsilon)
 
-    and 0 where the root plus c is above `most` (Badia et al., 2020, algorithm 1). The valid
-    rows' distances enter the running mean d_m^2 before it is used.
+    and 0 where the root plus c is above `max_similarity` (Badia et al., 2020, algorithm 1). The
+    valid rows' distances enter the running mean d_m^2 before it is used.
+
+    Args:
+      memory: of each environment.
+      z: features of one state of each.
+      valid: the environments that count.
+      kernel: the constants.
+
+    Returns:
+      The novelty, and the memory with the new d_m^2.
     """
     capacity = memory.z.shape[1]
     k = min(kernel.neighbours, capacity)
@@ -69,90 +97,137 @@ def episodic_novelty(
     distance = jnp.maximum(distance - kernel.cluster, 0)
     similar = jnp.where(there, kernel.epsilon / (distance + kernel.epsilon), 0)
     similarity = jnp.sqrt(jnp.sum(similar, axis=-1)) + kernel.constant
-    novelty = jnp.where(similarity > kernel.most, 0, 1 / similarity)
+    novelty = jnp.where(similarity > kernel.max_similarity, 0, 1 / similarity)
     return novelty, memory._replace(distances=count, mean=mean)
 
 
 def episodic_rewards(
     memory: Memory, z: Float[Array, "T1 N d"], rollout: Rollout, kernel: Kernel
 ) -> tuple[Float[Array, "T N"], Memory]:
-    """The episodic novelty of every s_t+1 among the states of its episode up to s_t."""
+    """Compute the episodic novelty of every s_t+1 among the states of its episode up to s_t.
+
+    Args:
+      memory: of each environment.
+      z: features of s_0 ... s_T.
+      rollout: where episodes open, and which rows count.
+      kernel: the constants.
+
+    Returns:
+      The novelty, and the memory after the last row.
+    """
     chex.assert_rank([memory.z, z], 3)
 
-    def step(memory, row):
-        now, then, first, valid = row
+    def step(
+        memory: Memory, row: tuple[Array, Array, Array, Array]
+    ) -> tuple[Memory, Float[Array, " N"]]:
+        now, after, first, valid = row
         first = first & valid
         memory = memory._replace(size=jnp.where(first, 0, memory.size))
-        memory = remember(memory, now, first)
-        novelty, memory = episodic_novelty(memory, then, valid, kernel)
-        return remember(memory, then, valid), novelty
+        memory = append_to_memory(memory, now, first)
+        novelty, memory = episodic_novelty(memory, after, valid, kernel)
+        return append_to_memory(memory, after, valid), novelty
 
     memory, novelty = lax.scan(step, memory, (z[:-1], z[1:], rollout.first, rollout.valid))
     return novelty, memory
 
 
 def lifelong_factor(
-    error: Float[Array, "T N"], moments: Moments, most: float = 5.0
+    error: Float[Array, "T N"], moments: RunningStatistics, max_lifelong_factor: float = 5.0
 ) -> Float[Array, "T N"]:
-    """clip(1 + (error - mean) / deviation, 1, L): how much more novel than usual.
+    """Compute clip(1 + (error - mean) / std, 1, L): how much more novel than usual.
 
-    >>> from sndjax.types import Moments
-    >>> moments = Moments(jnp.array(4.0), jnp.array(1.0), jnp.array(4.0))
+    Args:
+      error: the distillation error.
+      moments: its running statistics.
+      max_lifelong_factor: L.
+
+    >>> moments = RunningStatistics(jnp.array(4.0), jnp.array(1.0), jnp.array(4.0))
     >>> lifelong_factor(jnp.array([[0.0, 2.0, 9.0]]), moments)
     Array([[1., 2., 5.]], dtype=float32)
     """
-    return jnp.clip(1 + (error - moments.mean) / deviation(moments), 1.0, most)
+    return jnp.clip(1 + (error - moments.mean) / std(moments), 1.0, max_lifelong_factor)
 
 
 def ngu(
-    learned: Encoder,
+    predictor: Encoder,
     *,
-    capacity: int = 1024,
+    memory_size: int = 1024,
     width: int = 32,
     kernel: Kernel = Kernel(),
-    most: float = 5.0,
-    reading: Literal["mean", "half_sum"] = "mean",
-    reduction: Literal["mean", "sum"] = "mean",
-    keep: float = 1.0,
+    max_lifelong_factor: float = 5.0,
+    reward_reduction: RewardReduction = "mean",
+    loss_reduction: LossReduction = "mean",
+    update_proportion: float = 1.0,
 ) -> Signal:
-    """Episodic novelty of s_t+1 times its lifelong one (Badia et al., 2020).
+    """Make the episodic novelty of s_t+1 times its lifelong novelty (Badia et al., 2020).
 
-    The lifelong novelty is the distillation error in units of its running deviation. Features
-    of more than `width` components are projected to `width` at random; the paper's encoder
-    is trained by inverse dynamics, 32 wide.
+    The lifelong novelty is the distillation error in units of its running standard deviation.
+    Features of more than `width` components are projected to `width` at random; the paper's
+    encoder is trained by inverse dynamics, 32 wide.
 
     Args:
-      learned, reading, reduction, keep: of the distillation, see there.
-      capacity: C, newest states of an episode that are compared with.
+      predictor: of the distillation, see `distillation`.
+      memory_size: C, newest states of an episode that are compared with.
       width: of the features in memory; N * C * width numbers.
       kernel: the constants of the episodic novelty.
-      most: L, which the lifelong factor is clipped to.
+      max_lifelong_factor: L, which the lifelong factor is clipped to.
+      reward_reduction: of the distillation.
+      loss_reduction: of the distillation.
+      update_proportion: of the distillation.
     """
-    base = distillation(learned, reading=reading, reduction=reduction, keep=keep)
+    base = distillation(
+        predictor,
+        reward_reduction=reward_reduction,
+        loss_reduction=loss_reduction,
+        update_proportion=update_proportion,
+    )
 
-    def init(key, example, features, num_actions):
+    def init(
+        key: PRNGKeyArray,
+        example: Shaped[Array, "N *frame"],
+        features: Features,
+        num_actions: int,
+    ) -> tuple[Params, NGUState]:
         key_base, key_projection = jax.random.split(key)
         params, _ = base.init(key_base, example, features, num_actions)
         envs, wide = example.shape[0], features.z.shape[-1]
         narrow = min(width, wide)
-        zero = jnp.zeros(())
-        memory = Memory(jnp.zeros((envs, capacity, narrow)), jnp.zeros(envs, jnp.int32), zero, zero)
-        return params, {
-            "projection": random_projection(key_projection, wide, narrow)
-            if narrow < wide
-            else None,
-            "memory": memory,
-            "errors": no_moments(()),
-        }
+        memory = Memory(
+            z=jnp.zeros((envs, memory_size, narrow)),
+            size=jnp.zeros(envs, jnp.int32),
+            distances=jnp.zeros(()),
+            mean=jnp.zeros(()),
+        )
+        project = narrow < wide
+        return params, NGUState(
+            errors=init_running_statistics(()),
+            memory=memory,
+            projection=random_projection(key_projection, wide, narrow) if project else None,
+        )
 
-    def reward(params, state, view, rollout, key):
-        z = features_of_all(view, rollout.frames)
-        error = novelty_of_all(learned, params, view, rollout.frames, z, reading)[1:]
-        if state["projection"] is not None:
-            z = z @ state["projection"]
-        episodic, memory = episodic_rewards(state["memory"], z, rollout, kernel)
-        errors = update_moments(state["errors"], error, rollout.valid)
-        factor = lifelong_factor(error, errors, most)
-        return episodic * factor, state | {"memory": memory, "errors": errors}
+    def reward(
+        params: Params,
+        state: NGUState,
+        view: EncoderView,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> tuple[Float[Array, "T N"], NGUState]:
+        z = encode_rollout(view, rollout.frames)
+        error = rollout_distillation_error(
+            predictor, params, view, rollout.frames, z, reward_reduction
+        )[1:]
+        if state.projection is not None:
+            z = z @ state.projection
+        episodic, memory = episodic_rewards(state.memory, z, rollout, kernel)
+        errors = update_running_statistics(state.errors, error, rollout.valid)
+        factor = lifelong_factor(error, errors, max_lifelong_factor)
+        return episodic * factor, state._replace(memory=memory, errors=errors)
 
-    return Signal(init, reward, base.loss)
+    settings = {
+        "memory_size": memory_size,
+        "width": width,
+        "kernel": kernel,
+        "max_lifelong_factor": max_lifelong_factor,
+        **base.settings,
+    }
+    return Signal(init, reward, base.loss, has_published_scale=False, name="ngu", settings=settings)

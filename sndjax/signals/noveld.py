@@ -1,38 +1,60 @@
 """NovelD: the step from a known state to a novel one, the first time in an episode."""
 
-from typing import Literal
+from typing import NamedTuple
 
 import chex
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection, simhash_code
 from sndjax.networks import Encoder
-from sndjax.signals.distillation import distillation, novelty_of_all
-from sndjax.signals.prediction import features_of_all
-from sndjax.types import Rollout, Signal
+from sndjax.signals.distillation import (
+    LossReduction,
+    RewardReduction,
+    distillation,
+    rollout_distillation_error,
+)
+from sndjax.signals.prediction import encode_rollout
+from sndjax.types import EncoderView, Features, Params, Rollout, Signal
+
+
+class NovelDState(NamedTuple):
+    """What NovelD keeps between rollouts."""
+
+    projection: Float[Array, "d k"]  # of the hash
+    visited: Bool[Array, "N K"]  # the codes that each environment's episode has seen, K = 2^k
 
 
 def first_visits(
     visited: Bool[Array, "N K"], code: Int[Array, "T1 N"], rollout: Rollout
 ) -> tuple[Bool[Array, "T N"], Bool[Array, "N K"]]:
-    """Whether s_t+1 is new to its episode, its code being one of K; and what was visited since.
+    """Find the rows whose s_t+1 is new to its episode.
 
-    `visited` is forgotten, and s_t marked, where row t opens an episode; s_t+1 of every valid
-    row is marked.
+    `visited` is forgotten, and s_t marked, where row t opens an episode; s_t+1 of every valid row
+    is marked.
+
+    Args:
+      visited: the codes that each environment's episode has seen.
+      code: of s_0 ... s_T, one of K.
+      rollout: where episodes open, and which rows count.
+
+    Returns:
+      The rows that are new, and what was visited since.
     """
     chex.assert_rank([visited, code], 2)
     envs = jnp.arange(visited.shape[0])
 
-    def step(visited, row):
-        now, then, first, valid = row
+    def step(
+        visited: Bool[Array, "N K"], row: tuple[Array, Array, Array, Array]
+    ) -> tuple[Bool[Array, "N K"], Bool[Array, " N"]]:
+        now, after, first, valid = row
         first = first & valid
         visited = visited & ~first[:, None]
         visited = visited.at[envs, now].set(visited[envs, now] | first)
-        new = valid & ~visited[envs, then]
-        return visited.at[envs, then].set(visited[envs, then] | valid), new
+        new = valid & ~visited[envs, after]
+        return visited.at[envs, after].set(visited[envs, after] | valid), new
 
     rows = (code[:-1], code[1:], rollout.first, rollout.valid)
     visited, new = lax.scan(step, visited, rows)
@@ -42,7 +64,12 @@ def first_visits(
 def noveld_reward(
     novelty: Float[Array, "T1 N"], first_visit: Bool[Array, "T N"], alpha: float = 0.5
 ) -> Float[Array, "T N"]:
-    """max(novelty(s_t+1) - alpha novelty(s_t), 0), where s_t+1 is new to its episode, else 0.
+    """Compute max(novelty(s_t+1) - alpha novelty(s_t), 0) where s_t+1 is new to its episode.
+
+    Args:
+      novelty: of s_0 ... s_T.
+      first_visit: the rows whose s_t+1 is new; others get 0.
+      alpha: how much of the novelty of s_t is subtracted.
 
     >>> noveld_reward(jnp.array([[1.0], [2.0], [0.4]]), jnp.ones((2, 1), bool)).ravel()
     Array([1.5, 0. ], dtype=float32)
@@ -53,39 +80,61 @@ def noveld_reward(
 
 
 def noveld(
-    learned: Encoder,
+    predictor: Encoder,
     *,
     alpha: float = 0.5,
-    bits: int = 14,
-    reading: Literal["mean", "half_sum"] = "mean",
-    reduction: Literal["mean", "sum"] = "mean",
-    keep: float = 1.0,
+    num_hash_bits: int = 14,
+    reward_reduction: RewardReduction = "mean",
+    loss_reduction: LossReduction = "mean",
+    update_proportion: float = 1.0,
 ) -> Signal:
-    """The gain in distillation novelty from s_t to s_t+1, once per state and episode.
+    """Make the gain in distillation novelty from s_t to s_t+1, once per state and episode.
 
     Zhang et al. (2021), whose novelty is RND's. States are told apart within an episode by a
-    SimHash of `bits` signs of their features, N * 2^bits flags in the state.
+    SimHash of `num_hash_bits` signs of their features, N * 2^num_hash_bits flags in the state.
 
     Args:
-      learned, reading, reduction, keep: of the distillation, see there.
-      alpha: how much of the novelty of s_t is taken off.
-      bits: k, of the hash.
+      predictor: of the distillation, see `distillation`.
+      alpha: how much of the novelty of s_t is subtracted.
+      num_hash_bits: k, of the hash.
+      reward_reduction: of the distillation.
+      loss_reduction: of the distillation.
+      update_proportion: of the distillation.
     """
-    base = distillation(learned, reading=reading, reduction=reduction, keep=keep)
+    base = distillation(
+        predictor,
+        reward_reduction=reward_reduction,
+        loss_reduction=loss_reduction,
+        update_proportion=update_proportion,
+    )
 
-    def init(key, example, features, num_actions):
+    def init(
+        key: PRNGKeyArray,
+        example: Shaped[Array, "N *frame"],
+        features: Features,
+        num_actions: int,
+    ) -> tuple[Params, NovelDState]:
         key_base, key_hash = jax.random.split(key)
         params, _ = base.init(key_base, example, features, num_actions)
-        return params, {
-            "projection": random_projection(key_hash, features.z.shape[-1], bits),
-            "visited": jnp.zeros((example.shape[0], 2**bits), bool),
-        }
+        return params, NovelDState(
+            projection=random_projection(key_hash, features.z.shape[-1], num_hash_bits),
+            visited=jnp.zeros((example.shape[0], 2**num_hash_bits), bool),
+        )
 
-    def reward(params, state, view, rollout, key):
-        z = features_of_all(view, rollout.frames)
-        code = simhash_code(z, state["projection"])
-        new, visited = first_visits(state["visited"], code, rollout)
-        novelty = novelty_of_all(learned, params, view, rollout.frames, z, reading)
-        return noveld_reward(novelty, new, alpha), state | {"visited": visited}
+    def reward(
+        params: Params,
+        state: NovelDState,
+        view: EncoderView,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> tuple[Float[Array, "T N"], NovelDState]:
+        z = encode_rollout(view, rollout.frames)
+        code = simhash_code(z, state.projection)
+        new, visited = first_visits(state.visited, code, rollout)
+        novelty = rollout_distillation_error(
+            predictor, params, view, rollout.frames, z, reward_reduction
+        )
+        return noveld_reward(novelty, new, alpha), state._replace(visited=visited)
 
-    return Signal(init, reward, base.loss)
+    settings = {"alpha": alpha, "num_hash_bits": num_hash_bits, **base.settings}
+    return Signal(init, reward, base.loss, name="noveld", settings=settings)

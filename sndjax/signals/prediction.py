@@ -1,4 +1,4 @@
-"""Forward prediction: the novelty of a transition is how badly a model foresees its end."""
+"""Forward prediction: the novelty of a transition is the error of a forward model."""
 
 from functools import partial
 from typing import Literal, cast
@@ -7,12 +7,21 @@ import chex
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.networks import Perceptron
-from sndjax.rollout import map_steps
+from sndjax.networks import MLP, mlp_widths
+from sndjax.rollout import map_over_time
 from sndjax.statistics import masked_mean
-from sndjax.types import Params, Signal, View
+from sndjax.types import (
+    EncoderView,
+    Features,
+    Loss,
+    Params,
+    Rollout,
+    Signal,
+    State,
+    Transition,
+)
 
 Gradient = Literal["symmetric", "detached", "asymmetric"]
 
@@ -20,7 +29,7 @@ Gradient = Literal["symmetric", "detached", "asymmetric"]
 def prediction_error(
     predicted: Float[Array, "*rows d"], z_next: Float[Array, "*rows d"]
 ) -> Float[Array, "*rows"]:
-    """The novelty of each transition: tanh of the mean over d of (predicted - z_next)^2.
+    """Compute the novelty of each transition: tanh of the mean over d of (predicted - z_next)^2.
 
     Eq. 4.2 and 5.10 write the sum; the published experiments took this.
 
@@ -34,7 +43,12 @@ def prediction_error(
 def prediction_loss(
     predicted: Float[Array, "B d"], z_next: Float[Array, "B d"], valid: Bool[Array, " B"]
 ) -> Float[Array, ""]:
-    """Squared error of the forward model (eq. 5.11), mean over valid rows and d.
+    """Compute the squared error of the forward model (eq. 5.11), mean over valid rows and d.
+
+    Args:
+      predicted: features of s_t+1, of the forward model.
+      z_next: features of s_t+1, of the encoder.
+      valid: the rows that count.
 
     >>> one = jnp.ones((2, 3))
     >>> prediction_loss(one, 3 * one, jnp.array([True, False]))
@@ -44,32 +58,46 @@ def prediction_loss(
     return masked_mean(jnp.mean((predicted - z_next) ** 2, axis=-1), valid)
 
 
-def forward_model(z: Float[Array, "B d"]) -> Perceptron:
-    """d + A -> d -> d -> d."""
-    return Perceptron((z.shape[-1],) * 3)
+def forward_model(z: Float[Array, "B d"]) -> MLP:
+    """Return the forward model for features of this width: d + A -> d -> d -> d."""
+    return MLP((z.shape[-1],) * 3)
 
 
 def init_forward_model(key: PRNGKeyArray, z: Float[Array, "B d"], num_actions: int) -> Params:
-    """The weights of a forward model."""
+    """Return the weights of a forward model before any training.
+
+    Args:
+      key: of the random draws.
+      z: features, for their width.
+      num_actions: A.
+    """
     return forward_model(z).init(key, jnp.zeros((1, z.shape[-1] + num_actions), z.dtype))
 
 
-def foresee(
+def predict_next_features(
     params: Params, z: Float[Array, "B d"], action: Int[Array, " B"]
 ) -> Float[Array, "B d"]:
-    """The forward model's next features, from features and a one-hot action."""
-    num_actions = params["params"]["Dense_0"]["kernel"].shape[0] - z.shape[-1]
+    """Return the forward model's features of s_t+1.
+
+    Args:
+      params: of the forward model.
+      z: features of s_t.
+      action: a_t; the model reads it one-hot.
+    """
+    num_actions = mlp_widths(params)[0] - z.shape[-1]
     one_hot = jax.nn.one_hot(action, num_actions, dtype=z.dtype)
     return cast(Array, forward_model(z).apply(params, jnp.concatenate([z, one_hot], axis=-1)))
 
 
-def features_of_all(view: View, frames) -> Float[Array, "T1 N d"]:
-    """The features of every frame of a rollout, s_T included."""
-    return map_steps(lambda frame: view.encode(frame)[0], frames)
+def encode_rollout(
+    view: EncoderView, frames: Shaped[Array, "T1 N *frame"]
+) -> Float[Array, "T1 N d"]:
+    """Return the features of every frame of a rollout, s_T included."""
+    return map_over_time(lambda frame: view.encode(frame)[0], frames)
 
 
 def prediction(*, gradient: Gradient = "symmetric") -> Signal:
-    """A forward model of d + A -> d -> d -> d; its error is the novelty of (s_t, a_t, s_t+1).
+    """Make the signal of a forward model of d + A -> d -> d -> d: its error at (s_t, a_t, s_t+1).
 
     s_t+1 is the true one, at an episode's end too.
 
@@ -77,23 +105,49 @@ def prediction(*, gradient: Gradient = "symmetric") -> Signal:
       gradient: of the forward loss into the encoder. `symmetric`: through z_t and z_t+1, as
         the published SP; `detached`: through z_t alone, as ICM; `asymmetric`: none (5.1.4).
 
-    >>> prediction(gradient="asymmetric")  # doctest: +ELLIPSIS
-    Signal(init=...)
+    >>> prediction(gradient="asymmetric")
+    prediction(gradient='asymmetric')
     """
 
-    def init(key, example, features, num_actions):
+    def init(
+        key: PRNGKeyArray,
+        example: Shaped[Array, "N *frame"],
+        features: Features,
+        num_actions: int,
+    ) -> tuple[Params, State]:
         return init_forward_model(key, features.z, num_actions), {}
 
-    def reward(params, state, view, rollout, key):
-        z = features_of_all(view, rollout.frames)
-        predicted = map_steps(partial(foresee, params), z[:-1], rollout.action)
+    def reward(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> tuple[Float[Array, "T N"], State]:
+        z = encode_rollout(view, rollout.frames)
+        predicted = map_over_time(partial(predict_next_features, params), z[:-1], rollout.action)
         return prediction_error(predicted, z[1:]), state
 
-    def loss(params, state, view, features, batch, key):
+    def loss(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        features: Features,
+        batch: Transition,
+        key: PRNGKeyArray,
+    ) -> Loss:
         z, z_next = features.z, features.z_next
         z = lax.stop_gradient(z) if gradient == "asymmetric" else z
         z_next = z_next if gradient == "symmetric" else lax.stop_gradient(z_next)
-        total = prediction_loss(foresee(params, z, batch.action), z_next, batch.valid)
+        predicted = predict_next_features(params, z, batch.action)
+        total = prediction_loss(predicted, z_next, batch.valid)
         return total, {"prediction_loss": total}
 
-    return Signal(init, reward, loss, pairs=True)
+    return Signal(
+        init,
+        reward,
+        loss,
+        needs_pairs=True,
+        name="prediction",
+        settings={"gradient": gradient},
+    )

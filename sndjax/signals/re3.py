@@ -3,10 +3,19 @@
 import chex
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.signals.prediction import features_of_all
-from sndjax.types import Signal
+from sndjax.signals.prediction import encode_rollout
+from sndjax.types import (
+    EncoderView,
+    Features,
+    Loss,
+    Params,
+    Rollout,
+    Signal,
+    State,
+    Transition,
+)
 
 SLICE = 512  # rows whose distances to all others exist at once
 
@@ -14,9 +23,14 @@ SLICE = 512  # rows whose distances to all others exist at once
 def neighbour_distance(
     z: Float[Array, "M d"], valid: Bool[Array, " M"], k: int = 3
 ) -> Float[Array, " M"]:
-    """The Euclidean distance of each row to its k-th nearest valid other row.
+    """Compute the Euclidean distance of each row to its k-th nearest valid other row.
 
     Where fewer than k others are valid, the farthest of them; 0 where there is none.
+
+    Args:
+      z: features of M rows.
+      valid: the rows that count.
+      k: which of the nearest.
 
     >>> neighbour_distance(jnp.array([[0.0], [1.0], [5.0]]), jnp.ones(3, bool), k=1)
     Array([1., 1., 4.], dtype=float32)
@@ -33,7 +47,7 @@ def neighbour_distance(
     if k < 1:
         return jnp.zeros(rows, z.dtype)
 
-    def some(index):
+    def slice_distance(index: Int[Array, " S"]) -> Float[Array, " S"]:
         inner = z[index] @ z.T
         distance = squares[None, :] - 2 * inner  # less the row's own square, the same for all
         candidate = valid[None, :] & (others[None, :] != index[:, None])
@@ -43,28 +57,46 @@ def neighbour_distance(
         return jnp.max(jnp.where(jnp.isfinite(score), exact, jnp.zeros_like(exact)), axis=-1)
 
     index = jnp.pad(others, (0, short)).reshape(-1, min(SLICE, rows))
-    return lax.map(some, index).reshape(-1)[:rows]
+    return lax.map(slice_distance, index).reshape(-1)[:rows]
 
 
 def re3(k: int = 3) -> Signal:
-    """log(1 + distance of s_t to its k-th nearest neighbour) (eq. 4.46; Seo et al., 2021).
+    """Make log(1 + distance of s_t to its k-th nearest neighbour) (eq. 4.46; Seo et al., 2021).
 
     Neighbours are the valid states of the same rollout. Nothing is trained by the signal;
     the paper's encoder is random and frozen.
 
-    >>> re3()  # doctest: +ELLIPSIS
-    Signal(init=...)
+    >>> re3()
+    re3(k=3)
     """
 
-    def init(key, example, features, num_actions):
+    def init(
+        key: PRNGKeyArray,
+        example: Shaped[Array, "N *frame"],
+        features: Features,
+        num_actions: int,
+    ) -> tuple[Params, State]:
         return {}, {}
 
-    def reward(params, state, view, rollout, key):
-        z = features_of_all(view, rollout.frames[:-1])
+    def reward(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> tuple[Float[Array, "T N"], State]:
+        z = encode_rollout(view, rollout.frames[:-1])
         distance = neighbour_distance(z.reshape(-1, z.shape[-1]), rollout.valid.reshape(-1), k)
         return jnp.log1p(distance).reshape(rollout.valid.shape), state
 
-    def loss(params, state, view, features, batch, key):
+    def loss(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        features: Features,
+        batch: Transition,
+        key: PRNGKeyArray,
+    ) -> Loss:
         return jnp.zeros((), features.z.dtype), {}
 
-    return Signal(init, reward, loss)
+    return Signal(init, reward, loss, has_published_scale=False, name="re3", settings={"k": k})

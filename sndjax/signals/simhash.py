@@ -1,46 +1,88 @@
 """Hash counts: a state is novel where few states so far had its hash code."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection, simhash_code
-from sndjax.signals.prediction import features_of_all
-from sndjax.types import Signal
+from sndjax.signals.prediction import encode_rollout
+from sndjax.types import (
+    EncoderView,
+    Features,
+    Loss,
+    Params,
+    Rollout,
+    Signal,
+    State,
+    Transition,
+)
 
 
-def take_in_counts(
+class SimHashState(NamedTuple):
+    """What the hash counts keep between rollouts."""
+
+    counts: Float[Array, " K"]  # of each code, K = 2^k
+    projection: Float[Array, "d k"]
+
+
+def add_counts(
     counts: Float[Array, " K"], code: Int[Array, " M"], valid: Bool[Array, " M"]
 ) -> Float[Array, " K"]:
-    """The counts with each valid code counted once more.
+    """Return the counts with each valid code counted once more.
 
-    >>> take_in_counts(jnp.zeros(3), jnp.array([2, 2, 0]), jnp.array([True, True, False]))
+    Args:
+      counts: of each code so far.
+      code: of M states.
+      valid: the states that count.
+
+    >>> add_counts(jnp.zeros(3), jnp.array([2, 2, 0]), jnp.array([True, True, False]))
     Array([0., 0., 2.], dtype=float32)
     """
     return counts.at[code].add(valid.astype(counts.dtype))
 
 
-def simhash(bits: int = 16) -> Signal:
-    """1 / sqrt(n(Phi(s_t))), Phi the signs of `bits` random projections (eq. 4.18).
+def simhash(num_hash_bits: int = 16) -> Signal:
+    """Make 1 / sqrt(n(Phi(s_t))), Phi the signs of `num_hash_bits` random projections (eq. 4.18).
 
     Tang et al. (2017). The rollout's own states are counted before its rewards are read. The
     counts of a trained encoder are of codes that drift with it. Nothing is trained by the signal.
 
-    >>> simhash()  # doctest: +ELLIPSIS
-    Signal(init=...)
+    >>> simhash()
+    simhash(num_hash_bits=16)
     """
 
-    def init(key, example, features, num_actions):
-        projection = random_projection(key, features.z.shape[-1], bits)
-        return {}, {"projection": projection, "counts": jnp.zeros(2**bits)}
+    def init(
+        key: PRNGKeyArray,
+        example: Shaped[Array, "N *frame"],
+        features: Features,
+        num_actions: int,
+    ) -> tuple[Params, SimHashState]:
+        projection = random_projection(key, features.z.shape[-1], num_hash_bits)
+        return {}, SimHashState(counts=jnp.zeros(2**num_hash_bits), projection=projection)
 
-    def reward(params, state, view, rollout, key):
-        z = features_of_all(view, rollout.frames[:-1])
-        code = simhash_code(z, state["projection"])
-        counts = take_in_counts(state["counts"], code.reshape(-1), rollout.valid.reshape(-1))
+    def reward(
+        params: Params,
+        state: SimHashState,
+        view: EncoderView,
+        rollout: Rollout,
+        key: PRNGKeyArray,
+    ) -> tuple[Float[Array, "T N"], SimHashState]:
+        z = encode_rollout(view, rollout.frames[:-1])
+        code = simhash_code(z, state.projection)
+        counts = add_counts(state.counts, code.reshape(-1), rollout.valid.reshape(-1))
         novelty = 1 / jnp.sqrt(jnp.maximum(counts[code], 1))
-        return novelty, state | {"counts": counts}
+        return novelty, state._replace(counts=counts)
 
-    def loss(params, state, view, features, batch, key):
+    def loss(
+        params: Params,
+        state: State,
+        view: EncoderView,
+        features: Features,
+        batch: Transition,
+        key: PRNGKeyArray,
+    ) -> Loss:
         return jnp.zeros((), features.z.dtype), {}
 
-    return Signal(init, reward, loss)
+    settings = {"num_hash_bits": num_hash_bits}
+    return Signal(init, reward, loss, name="simhash", settings=settings)

@@ -2,15 +2,15 @@
 
 import json
 
-from experiments.config import load
-from experiments.stored import Stored, to_yaml
+from experiments.config.compose import load_config
+from experiments.config.saved import SavedConfig, to_yaml
 
 
 def made(path, arguments, episodes, figures=None, rows=128):
     """A run directory: `episodes[seed]` are (step, return, score), `figures[seed]` the novelty."""
-    config = load(arguments)
+    config = load_config(arguments)
     path.mkdir(parents=True)
-    (path / "config.yaml").write_text(to_yaml(Stored(config, {"jax": "0"})))
+    (path / "config.yaml").write_text(to_yaml(SavedConfig(config, {"jax": "0"})))
     head = "seed,step,length,ext_return,score,int_return"
     table = [
         f"{seed},{step},10,{value},{score},0.5"

@@ -13,12 +13,14 @@ import pytest
 import yaml
 from test_run import CAR, start
 
-from experiments import replay, training, validate
-from experiments.options import ConfigError
+from experiments.analysis import update_replay as replay
+from experiments.config import validation as validate
+from experiments.config.saved import read_saved
+from experiments.config.schema import ConfigError
 from experiments.run import main
-from experiments.stored import read
+from experiments.training import trainer as training
 
-KEYS = [*(name for name, _ in validate.options()), "env", "algo"]
+KEYS = [*(name for name, _ in validate.config_options()), "env", "algo"]
 WORDS = [
     "", "0", "1", "-1", "2.5", "1e400", "nan", "inf", "-inf", "null", "true", "[]", "[1,2]", "{}",
     "{a:1}", "${x}", "${oc.env:HOME}", "${now:%Y}", "a,b", "range(3)", "'", '"', "\\", "[", "{",
@@ -169,7 +171,7 @@ def changed_file(path, draw):
 def longer(path):
     """Whether a harmed configuration is still one, of a run too long for a test."""
     try:
-        return read(path).config.total_steps > 10_000
+        return read_saved(path).config.total_steps > 10_000
     except ConfigError:
         return False
 

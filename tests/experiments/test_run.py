@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.options import SIGNALS
+from experiments.config.schema import SIGNALS
 from experiments.run import main
 from sndjax.algorithms import NAMED
 

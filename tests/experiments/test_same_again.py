@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from test_run import CAR, lines, start, without_clock
 
-from experiments.agents import build, first_states
-from experiments.checkpoint import Checkpoints
-from experiments.config import load
-from experiments.environments import make_pool
+from experiments.config.compose import load_config
+from experiments.environments.pools import make_pool
+from experiments.storage.checkpoints import Checkpoints
+from experiments.training.agents import build_agent, init_states
 
 
 def tree_of(path, config=None):
     """The newest checkpoint of a run, as plain arrays."""
-    config = config or load([f"resume={path}"])
+    config = config or load_config([f"resume={path}"])
     pool = make_pool(config.env, config.seeds, config.num_envs)
-    agent = build(config, pool)
+    agent = build_agent(config, pool)
     example = np.zeros((config.num_envs, *pool.shape), pool.dtype)
-    like = jax.eval_shape(lambda: first_states(agent, config.seeds, example))
+    like = jax.eval_shape(lambda: init_states(agent, config.seeds, example))
     checkpoints = Checkpoints(path)
     iteration, _, said = checkpoints.find(lambda manifest: None)
     assert not said
@@ -76,11 +76,11 @@ def test_a_learner_interrupted_and_resumed_on_a_recorded_rollout_gives_the_same_
 import pickle, sys
 from functools import partial
 import jax, numpy as np
-from experiments.agents import build, first_states, make_train_step, over_seeds
-from experiments.checkpoint import Checkpoints
-from experiments.collect import Collector
-from experiments.config import load
-from experiments.environments import make_pool
+from experiments.training.agents import build, first_states, make_train_step, over_seeds
+from experiments.storage.checkpoints import Checkpoints
+from experiments.training.rollouts import Collector
+from experiments.config.compose import load
+from experiments.environments.pools import make_pool
 from pathlib import Path
 import sndjax
 

@@ -19,7 +19,7 @@ from test_boards import events
 from test_run import CAR, lines, start, without_clock
 from test_same_again import tree_of
 
-from experiments.config import load
+from experiments.config.compose import load_config
 from experiments.run import main
 
 
@@ -209,7 +209,7 @@ def test_sigterm_leaves_a_checkpoint_of_the_moment_and_the_run_can_be_extended(t
     until(path, [f"resume={path}", "total_steps=200_000_000"], 3, signal.SIGINT)
     check_nothing_lost(path, len(lines(path)))
     assert without_clock(lines(path))[:iteration] == kept
-    assert load([f"resume={path}"]).total_steps == 200_000_000
+    assert load_config([f"resume={path}"]).total_steps == 200_000_000
 
 
 def test_a_run_whose_newest_checkpoint_is_damaged_goes_on_from_the_one_before(tmp_path, capfd):

@@ -5,7 +5,15 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import Average, Features, Transition, byol, byol_distance, snd_byol, transitions
+from sndjax import (
+    Features,
+    TargetNetwork,
+    Transition,
+    byol,
+    byol_distance,
+    gather_transitions,
+    snd_byol,
+)
 
 VECTOR = KINDS[2]
 
@@ -61,7 +69,7 @@ def test_each_view_predicts_the_averaged_network_of_the_other():
     params, slow = (objective.init(jax.random.key(k), features, 3) for k in (0, 1))
     valid = jnp.arange(5) < 4
     batch = Transition(jnp.concatenate([frame, next_frame]), None, None, None, valid)
-    average = Average(slow, lambda x: (2 * x, None))
+    average = TargetNetwork(slow, lambda x: (2 * x, None))
     got, _ = objective.loss(params, None, features, batch, None, None, average=average)
     wanted = 0.0
     for mine, other in ((frame, next_frame), (next_frame, frame)):
@@ -84,7 +92,7 @@ def test_the_slow_copy_follows_encoder_and_heads_and_gets_no_gradient():
             after["slow"][part], params[part],
         )  # fmt: skip
     # Its encoder decides the loss, and is not among what is differentiated.
-    rows, key = transitions(batch, jnp.arange(32)), jax.random.key(2)
+    rows, key = gather_transitions(batch, jnp.arange(32)), jax.random.key(2)
     loss = jax.jit(module.loss)
     assert loss(params, state, rows, batch, key)[0] != loss(params, after, rows, batch, key)[0]
     assert set(params) == {"encoder", "objective", "signal"}

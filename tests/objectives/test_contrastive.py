@@ -5,7 +5,7 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import contrastive, contrastive_loss, transitions
+from sndjax import contrastive, contrastive_loss, gather_transitions
 from sndjax.objectives.contrastive import augment as eager_augment
 from sndjax.objectives.contrastive import draw_pairs as eager_draw_pairs
 
@@ -106,7 +106,7 @@ def test_the_objective_draws_an_eighth_of_the_minibatch_from_the_whole_rollout()
     index = jnp.arange(batch.action.size)
     marked = jnp.broadcast_to(index[:, None].astype(jnp.float32), (64, 5)).reshape(16, 4, 5)
     batch = batch._replace(frames=jnp.concatenate([marked, marked[-1:]]))
-    rows = transitions(batch, jnp.arange(48))
+    rows = gather_transitions(batch, jnp.arange(48))
     seen = []
 
     def encode(frames):

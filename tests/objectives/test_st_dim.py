@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from sndjax import Features, Transition, st_dim
 from sndjax import st_dim_loss as eager_st_dim_loss
 from sndjax.objectives.st_dim import contrast as eager_contrast
-from sndjax.objectives.st_dim import feature_spread
+from sndjax.objectives.st_dim import feature_std_over_dims
 
 st_dim_loss = jax.jit(eager_st_dim_loss, static_argnames=("norm_weight", "spread_weight"))
 contrast = jax.jit(eager_contrast)
@@ -120,7 +120,7 @@ def test_gradient_is_zero_where_norms_and_deviations_are_zero():
 
 def test_spread_is_the_deviation_over_features():
     z = jnp.asarray(np.random.default_rng(0).normal(size=(3, 7)).astype(np.float32))
-    got = feature_spread(z, jnp.array([True, True, False]))
+    got = feature_std_over_dims(z, jnp.array([True, True, False]))
     np.testing.assert_allclose(got, np.std(np.asarray(z[:2]), axis=1, ddof=1).mean(), rtol=1e-5)
 
 

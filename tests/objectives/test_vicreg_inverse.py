@@ -13,7 +13,7 @@ from sndjax import (
     vicreg_loss,
     weighted_sum,
 )
-from sndjax.networks import Perceptron
+from sndjax.networks import MLP
 
 
 def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
@@ -26,7 +26,7 @@ def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
     params = vinv.init(jax.random.key(0), features, 3)
     batch = Transition(None, action, None, None, valid)
     got, metrics = vinv.loss(params, None, features, batch, None, jax.random.key(1))
-    logits = Perceptron((8, 4, 3)).apply(params[1], jnp.concatenate([z, z_next], -1))
+    logits = MLP((8, 4, 3)).apply(params[1], jnp.concatenate([z, z_next], -1))
     wanted = vicreg_loss(z, z_next, valid)[0] + inverse_dynamics_loss(logits, action, valid)[0] / 2
     np.testing.assert_allclose(got, wanted, rtol=1e-5)
     assert {"vicreg_variance", "inverse_dynamics"} <= set(metrics)

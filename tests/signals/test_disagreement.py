@@ -5,9 +5,9 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import ensemble_variance, grid, transitions
-from sndjax.grid import OBJECTIVES, networks
-from sndjax.signals.prediction import foresee
+from sndjax import ensemble_variance, gather_transitions, make_module
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
+from sndjax.signals.prediction import predict_next_features
 
 VECTOR = KINDS[2]
 
@@ -29,14 +29,14 @@ def test_members_that_agree_see_nothing_novel():
 
 def test_members_start_apart_and_the_reward_is_their_variance():
     made = rollout(VECTOR, np.random.default_rng(0))
-    module = grid("none", "disagreement", VECTOR.actions, VECTOR.size)
+    module = make_module("none", "disagreement", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
-    encoder, _ = networks(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
-    rows = transitions(made, jnp.arange(32))
+    encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
+    rows = gather_transitions(made, jnp.arange(32))
     z, _ = encoder.apply(state["encoder"], rows.frame)
     predictions = [
-        foresee(jax.tree.map(lambda x, k=k: x[k], params["signal"]), z, rows.action)
+        predict_next_features(jax.tree.map(lambda x, k=k: x[k], params["signal"]), z, rows.action)
         for k in range(5)
     ]
     assert np.abs(predictions[0] - predictions[1]).max() > 0.1
@@ -48,10 +48,10 @@ def test_members_start_apart_and_the_reward_is_their_variance():
 def test_each_member_learns_from_rows_of_its_own():
     """The gradients of two members with equal weights differ: they saw different rows."""
     made = rollout(VECTOR, np.random.default_rng(0))
-    module = grid("none", "disagreement", VECTOR.actions, VECTOR.size)
+    module = make_module("none", "disagreement", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     params = {"signal": jax.tree.map(lambda x: jnp.stack([x[0]] * 5), params["signal"])}
-    rows = transitions(made, jnp.arange(32))
+    rows = gather_transitions(made, jnp.arange(32))
     gradient = jax.jit(jax.grad(lambda p, k: module.loss(p, state, rows, made, k)[0]))
     kernel = gradient(params, jax.random.key(0))["signal"]["params"]["Dense_2"]["kernel"]
     assert all(np.abs(kernel[0] - kernel[k]).max() > 0 for k in range(1, 5))

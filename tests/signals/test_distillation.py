@@ -6,7 +6,7 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import distillation_error, distillation_loss, rnd, transitions
+from sndjax import distillation_error, distillation_loss, gather_transitions, rnd
 
 VECTOR = KINDS[2]
 
@@ -85,6 +85,8 @@ def test_every_preprocessing_runs_on_every_input(mode, kind):
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, state = jax.jit(module.reward)(params, state, made, jax.random.key(1))
     assert np.all(np.isfinite(reward))
-    loss, _ = module.loss(params, state, transitions(made, jnp.arange(8)), made, jax.random.key(2))
+    loss, _ = module.loss(
+        params, state, gather_transitions(made, jnp.arange(8)), made, jax.random.key(2)
+    )
     assert np.isfinite(loss)
     assert (state["moments"] is None) == (mode == "none")

@@ -5,9 +5,9 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import Features, Rollout, grid
+from sndjax import Features, Rollout, make_module
 from sndjax import elliptical_bonus as eager_bonus
-from sndjax.grid import OBJECTIVES, networks
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 from sndjax.signals.e3b import e3b
 
 elliptical_bonus = jax.jit(eager_bonus)
@@ -79,11 +79,11 @@ def test_long_episodes_of_wide_correlated_features_stay_exact():
 
 def test_wide_features_are_projected_and_the_reward_is_their_bonus():
     made = rollout(VECTOR, np.random.default_rng(0))
-    module = grid("none", "e3b", VECTOR.actions, VECTOR.size)
+    module = make_module("none", "e3b", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     assert state["signal"]["projection"] is None  # 16 features are few enough
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
-    encoder, _ = networks(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
+    encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
     z, _ = encoder.apply(state["encoder"], made.frames.reshape(36, -1))
     valid = np.asarray(made.valid)
     z = np.asarray(z, np.float64).reshape(9, 4, 16)

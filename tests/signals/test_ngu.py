@@ -5,8 +5,8 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import Moments, distillation_error, grid
-from sndjax.grid import OBJECTIVES, networks
+from sndjax import RunningStatistics, distillation_error, make_module
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 from sndjax.signals.ngu import Kernel, Memory, lifelong_factor
 from sndjax.signals.ngu import episodic_rewards as eager_rewards
 
@@ -81,7 +81,7 @@ def test_ten_equal_neighbours_are_worth_one_over_the_root_of_ten():
 
 
 def test_the_lifelong_factor_is_between_one_and_its_most():
-    moments = Moments(jnp.array(9.0), jnp.array(2.0), jnp.array(36.0))  # deviation 2
+    moments = RunningStatistics(jnp.array(9.0), jnp.array(2.0), jnp.array(36.0))  # deviation 2
     got = lifelong_factor(jnp.array([[0.0, 2.0, 4.0, 100.0]]), moments)
     np.testing.assert_allclose(got, [[1, 1, 2, 5]], rtol=1e-6)
 
@@ -90,10 +90,12 @@ def test_the_reward_is_the_product_of_both():
     no = jnp.zeros((8, 4), bool)
     made = rollout(VECTOR, np.random.default_rng(0))
     made = made._replace(first=no.at[0].set(True), done=no, valid=(~no).at[3, 1].set(False))
-    module = grid("vicreg", "ngu", VECTOR.actions, VECTOR.size)
+    module = make_module("vicreg", "ngu", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, after = jax.jit(module.reward)(params, state, made, jax.random.key(1))
-    encoder, learned = networks(OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric")
+    encoder, learned = make_encoder_and_predictor(
+        OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric"
+    )
     frames = made.frames.reshape(36, -1)
     z, _ = encoder.apply(params["encoder"], frames)
     copy, _ = learned.apply(params["signal"], frames)

@@ -5,8 +5,8 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import distillation_error, grid, noveld_reward
-from sndjax.grid import OBJECTIVES, networks
+from sndjax import distillation_error, make_module, noveld_reward
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 from sndjax.signals.noveld import first_visits as eager_first_visits
 
 first_visits = jax.jit(eager_first_visits)
@@ -56,10 +56,12 @@ def test_the_gain_equals_its_equation(seed, alpha):
 
 def test_the_reward_is_the_gain_in_distillation_novelty():
     made = rollout(VECTOR, np.random.default_rng(0))
-    module = grid("vicreg", "noveld", VECTOR.actions, VECTOR.size)
+    module = make_module("vicreg", "noveld", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
-    encoder, learned = networks(OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric")
+    encoder, learned = make_encoder_and_predictor(
+        OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric"
+    )
     frames = made.frames.reshape(36, -1)
     target, _ = encoder.apply(params["encoder"], frames)
     copy, _ = learned.apply(params["signal"], frames)

@@ -6,7 +6,7 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import icm, prediction_error, prediction_loss, sp, sp_vic, transitions
+from sndjax import gather_transitions, icm, prediction_error, prediction_loss, sp, sp_vic
 
 VECTOR = KINDS[2]
 
@@ -62,7 +62,7 @@ def test_the_reward_is_the_surprise_at_the_true_next_state():
 def test_the_forward_loss_moves_the_encoder_as_it_is_told(gradient):
     """Against finite differences of the loss, with the parts held still that are detached."""
     made = rollout(VECTOR, np.random.default_rng(0))
-    rows, key = transitions(made, jnp.arange(32)), jax.random.key(2)
+    rows, key = gather_transitions(made, jnp.arange(32)), jax.random.key(2)
     module = sp(VECTOR.actions, VECTOR.size, gradient=gradient)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     forward = lambda p: module.loss(p, state, rows, made, key)[1]["prediction_loss"]
@@ -91,7 +91,7 @@ def test_the_forward_loss_moves_the_encoder_as_it_is_told(gradient):
 
 def test_icm_weighs_its_losses_and_detaches_the_forward_target():
     made = rollout(VECTOR, np.random.default_rng(0))
-    rows, key = transitions(made, jnp.arange(32)), jax.random.key(2)
+    rows, key = gather_transitions(made, jnp.arange(32)), jax.random.key(2)
     module = icm(VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     total, terms = jax.jit(module.loss)(params, state, rows, made, key)

@@ -6,9 +6,9 @@ from builders import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import grid
+from sndjax import make_module
 from sndjax import neighbour_distance as eager_distance
-from sndjax.grid import OBJECTIVES, networks
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
 neighbour_distance = jax.jit(eager_distance, static_argnames="k")
 VECTOR = KINDS[2]
@@ -61,10 +61,10 @@ def test_garbage_in_invalid_rows_changes_nothing():
 def test_the_reward_is_the_log_of_the_distance_in_feature_space():
     """Eq. 4.46 on the frozen encoder's features of the valid s_t."""
     made = rollout(VECTOR, np.random.default_rng(0))
-    module = grid("none", "re3", VECTOR.actions, VECTOR.size)
+    module = make_module("none", "re3", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
-    encoder, _ = networks(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
+    encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
     z, _ = encoder.apply(state["encoder"], made.frames[:-1].reshape(32, -1))
     valid = np.asarray(made.valid).ravel()
     wanted = np.log(in_numpy(z, valid, 3) + 1)

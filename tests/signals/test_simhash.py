@@ -5,18 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 from builders import KINDS, rollout
 
-from sndjax import grid
-from sndjax.grid import OBJECTIVES, networks
+from sndjax import make_module
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
 VECTOR = KINDS[2]
 
 
 def test_the_reward_is_one_over_the_root_of_the_count_over_a_life():
     """Eq. 4.18 with a Counter, over two rollouts; reset rows are not counted."""
-    module = grid("none", "simhash", VECTOR.actions, VECTOR.size)
+    module = make_module("none", "simhash", VECTOR.actions, VECTOR.size)
     first = rollout(VECTOR, np.random.default_rng(0))
     params, state = jax.jit(module.init)(jax.random.key(0), first.frames[0])
-    encoder, _ = networks(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
+    encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
     projection = np.asarray(state["signal"]["projection"])
     counts = Counter()
     for seed in (0, 1):

@@ -1,0 +1,109 @@
+"""An update that went wrong, run again from the dump that its run left."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sndjax import Experience, TrainState
+
+from ..config.compose import parse_overrides
+from ..config.saved import apply_overrides, parse_saved
+from ..config.schema import Config
+from ..storage.checkpoints import CheckpointError, read_manifest, read_tree, unwrapped_shapes
+from ..system.errors import ConfigError
+from ..training.diagnostics import nonfinite_terms
+from ..training.experiment import Experiment, build_experiment
+from ..training.rollouts import experience_spec
+
+
+def dump_config(dump: Path, arguments: list[str]) -> Config:
+    """The configuration that a dump was made with; the arguments may only repeat it.
+
+    Raises:
+      ConfigError: this is no dump, or it names code.
+    """
+    try:
+        text = read_manifest(dump)["config"]
+    except (CheckpointError, KeyError) as error:
+        raise ConfigError(f"{dump} is no dump of a run: {error}") from None
+    return apply_overrides(
+        parse_saved(str(text), str(dump)).config, parse_overrides(arguments), "replay"
+    )
+
+
+def load_dump(dump: Path, config: Config) -> tuple[Experiment, TrainState, Experience]:
+    """The agent, and from the dump the state of every seed and its batch, leaves [S, ...].
+
+    Raises:
+      ConfigError: the dump is damaged.
+    """
+    experiment = build_experiment(config, probe=True)
+    heads = experiment.agent.network.value_heads
+    like = {
+        "state": unwrapped_shapes(experiment.state_shapes()),
+        "batch": experience_spec(config, experiment.pool, heads),
+    }
+    try:
+        tree, _ = read_tree(dump, like)
+    except CheckpointError as error:
+        raise ConfigError(f"{dump} is damaged: {error}") from None
+    state, batch = jax.tree.map(jnp.asarray, (tree["state"], tree["batch"]))
+    return experiment, state._replace(key=jax.random.wrap_key_data(state.key)), batch
+
+
+def nonfinite_leaves(tree: Any) -> Iterator[str]:
+    """The arrays of a pytree that hold numbers that are not finite."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        if np.issubdtype(leaf.dtype, np.inexact):
+            count = int(np.sum(~np.isfinite(leaf)))
+            if count:
+                yield f"{jax.tree_util.keystr(path).lstrip('.')}: {count} of {leaf.size}"
+
+
+def replay_update(experiment: Experiment, state: TrainState, batch: Experience) -> None:
+    """Run the update again, and print what goes wrong, from the inputs on.
+
+    Args:
+      experiment: the agent.
+      state: before the update, leaves [S, ...].
+      batch: what it learned from, leaves [S, ...].
+    """
+    inputs = {"state before": cast(Any, state)._replace(key=None), "batch": batch}
+    for name, tree in inputs.items():
+        for line in nonfinite_leaves(tree):
+            print(f"{name}, not finite: {line}")
+    step = jax.jit(experiment.make_train_step())
+    print("updating ...", flush=True)
+    metrics: dict[str, list[float]] = {
+        name: value.tolist() for name, value in step(state, batch)[1].items()
+    }
+    found = nonfinite_terms(experiment.config.seeds, batch.reward, batch.rollout.valid, metrics)
+    for line in found:
+        print(f"after the update, {line}")
+    if not found:
+        print("after the update every figure is finite: it does not go wrong here")
+        return
+    if not any("nan" in line for line in found):
+        return  # jax finds the operation that makes a nan, and has false alarms about infinity
+    print("looking for the operation, one after another; this can take minutes ...", flush=True)
+    try:
+        with jax.disable_jit(), jax.debug_nans(True):
+            experiment.make_train_step()(state, batch)
+        print("one by one, the operations give finite numbers")
+    except FloatingPointError as error:
+        print(f"the first comes out of: {str(error).splitlines()[0]}{error_place(error)}")
+
+
+def error_place(error: BaseException) -> str:
+    """The innermost line of code outside jax and its like that an error came through."""
+    found, trace = "", error.__traceback__
+    while trace is not None:
+        file = Path(trace.tb_frame.f_code.co_filename)
+        if "site-packages" not in file.parts and file.suffix == ".py" and file != Path(__file__):
+            found = f", in {file}, line {trace.tb_lineno}"
+        trace = trace.tb_next
+    return found

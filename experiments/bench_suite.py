@@ -1,0 +1,39 @@
+"""Compare the benchmark of each algorithm with the committed figures: sndjax bench_suite [--write]
+
+Runs `sndjax bench env=Venture` for each in a process of its own (where there is a GPU also with
+four seeds at once) and prints its figures as ratios to those in docs/results/, in bench-cpu.json or
+bench-gpu.json, which --write replaces. Shares of the machine's own matrix product are compared, so
+that a slower machine is no regression.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from .config.schema import option
+from .config.tool_options import run_command
+from .system.process import run_script
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command."""
+
+    algos: str = option("ppo,rnd,icm,sp,snd_vic,snd_std", "algorithms, with commas")
+    write: bool = option(False, "replace the committed figures")
+
+
+def suite(paths: list[Path], options: Options) -> None:
+    """Print a line for each benchmark."""
+    from .benchmarks.suite import print_suite
+
+    named = [str(path) for path in paths]  # bench_suite rnd icm
+    print_suite(named or options.algos.split(","), options.write)
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command, and return its exit status."""
+    return run_command(__doc__, Options, suite, arguments, paths="optional")
+
+
+if __name__ == "__main__":
+    run_script(main)

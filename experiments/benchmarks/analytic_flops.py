@@ -1,0 +1,131 @@
+"""The work of an environment step, worked out by hand from the networks and the loops.
+
+Forward 1, backward 2, for acting, the intrinsic rewards, the PPO epochs and one pass of the
+motivation module; a multiply-add is two operations. Nothing that a program saves by sharing or
+loses by doing it twice is in it: it is what the work of two programs is compared by.
+"""
+
+import itertools
+from collections.abc import Sequence
+from math import prod
+
+from sndjax.convolution import Convolution
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
+from sndjax.networks import Architecture, Encoder
+
+TRAINED = 3  # forward 1 and backward 2
+
+
+def mlp_flops(*widths: int) -> float:
+    """Operations of linear layers, from a width to the next."""
+    return sum(2.0 * a * b for a, b in itertools.pairwise(widths))
+
+
+def torso_flops(
+    convolutions: Sequence[Convolution], hidden: Sequence[int], shape: tuple[int, ...]
+) -> tuple[float, int, tuple[int, int]]:
+    """Operations on one frame, how many numbers come out, and the local map's (IJ, C)."""
+    if not convolutions:
+        return mlp_flops(prod(shape), *hidden), hidden[-1], (1, hidden[-1])
+    height, width, channels = shape
+    flops_per_step, local = 0.0, (0, 0)
+    for i, layer in enumerate(convolutions):
+        height = (height + 2 * layer.padding - layer.size) // layer.stride + 1
+        width = (width + 2 * layer.padding - layer.size) // layer.stride + 1
+        flops_per_step += 2.0 * height * width * layer.channels * layer.size**2 * channels
+        channels = layer.channels
+        if i == 2:
+            local = (height * width, channels)
+    return flops_per_step, height * width * channels, local
+
+
+def encoder_flops(network: Encoder, shape: tuple[int, ...]) -> float:
+    """Operations of an encoder on one frame."""
+    flops_per_step, out, _ = torso_flops(network.convolutions, network.hidden, shape)
+    d = network.features
+    return flops_per_step + mlp_flops(out + network.num_actions, *[d] * (1 + network.extra))
+
+
+def policy_flops(size: Architecture, stack: tuple[int, ...], num_actions: int, heads: int) -> float:
+    """Operations of the actor-critic on one stack."""
+    flops_per_step, out, _ = torso_flops(size.convolutions(size.last), size.hidden, stack)
+    d = size.features
+    return (
+        flops_per_step + mlp_flops(out, d) + mlp_flops(d, d, num_actions) + mlp_flops(d, d, heads)
+    )
+
+
+def objective_flops(
+    name: str, size: Architecture, shape: tuple[int, ...], num_actions: int, rows: int
+) -> float:
+    """Operations of an objective's loss per row of a minibatch, its encodings apart."""
+    d = size.features
+    positions, channels = torso_flops(size.convolutions(size.last), size.hidden, shape)[2]
+    return {
+        "none": 0.0,
+        "contrastive": 0.0,
+        # Logits of all rows against all rows at every position, twice, and the two linear maps.
+        "st_dim": positions * (2 * mlp_flops(channels, rows) + mlp_flops(channels, channels))
+        + mlp_flops(d, channels),
+        "vicreg": 2 * mlp_flops(d, d),  # the covariance of both views
+        "barlow_twins": mlp_flops(d, d),
+        "inverse_dynamics": mlp_flops(2 * d, d, d, num_actions),
+        "vicreg_inverse": 2 * mlp_flops(d, d) + mlp_flops(2 * d, d, d // 2, num_actions),
+    }[name]
+
+
+def intrinsic_flops(
+    of: str,
+    signal: str,
+    size: Architecture,
+    shape: tuple[int, ...],
+    num_actions: int,
+    rows: int,
+    action_input: bool = False,
+) -> float | None:
+    """Operations of the motivation module per environment step: its rewards and its pass.
+
+    None where nobody has worked them out: for signals other than distillation and prediction,
+    for BYOL, and for prediction where the objective does not read pairs.
+    """
+    # Encodings per row: a frozen encoder sees s_t, SND-V's both views of every eighth row as
+    # well, and the others learn from s_t and s_t+1.
+    encodings = {"none": 1.0, "contrastive": 1 + TRAINED / 4}
+    unknown = of == "byol" or (signal == "prediction" and of in encodings)
+    if signal not in ("distillation", "prediction") or unknown:
+        return None
+    inputs = num_actions if action_input else 0
+    own, learned = make_encoder_and_predictor(OBJECTIVES[of], size, "elu", "asymmetric", inputs)
+    d, encode, copy = size.features, encoder_flops(own, shape), encoder_flops(learned, shape)
+    rewards, trained = encode + copy, copy
+    if signal == "prediction":
+        foresee = mlp_flops(d + num_actions, d, d, d)
+        rewards, trained = 2 * encode + foresee, foresee
+    trained += objective_flops(of, size, shape, num_actions, rows)
+    return rewards + encodings.get(of, 2.0 * TRAINED) * encode + TRAINED * trained
+
+
+def flops_per_step(
+    of: str | None,
+    signal: str,
+    size: Architecture,
+    shape: tuple[int, ...],
+    stack: int,
+    num_actions: int,
+    epochs: int = 4,
+    rows: int = 512,
+    action_input: bool = False,
+) -> float | None:
+    """Operations per environment step; with `of` None, of the baseline without a module.
+
+    >>> from sndjax import ATARI
+    >>> f"{flops_per_step('vicreg', 'distillation', ATARI, (96, 96, 1), 4, 18) / 1e9:.2f}"
+    '1.83'
+    """
+    stacked = (*shape[:-1], shape[-1] * stack)
+    acting = policy_flops(size, stacked, num_actions, 1 if of is None else 2)
+    learning = acting * (1 + TRAINED * epochs)
+    if of is None:
+        return learning
+    more = intrinsic_flops(of, signal, size, shape, num_actions, rows, action_input)
+    return None if more is None else learning + more

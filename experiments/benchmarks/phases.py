@@ -1,0 +1,295 @@
+"""Where the time of an iteration goes: each phase timed on some of its minibatches.
+
+With a whole iteration timed beside them where that is asked for.
+"""
+
+import json
+import resource
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
+
+import sndjax
+from sndjax.train import (
+    compute_advantages,
+    compute_intrinsic_rewards,
+    update_intrinsic_module,
+    update_policy,
+    zero_reset_rows,
+)
+
+from ..config.schema import Config
+from ..system.errors import ConfigError
+from ..system.process import enable_compilation_cache
+from ..system.versions import versions
+from ..training.agents import map_over_seeds
+from ..training.experiment import build_experiment
+from .analytic_flops import flops_per_step
+from .timing import BenchmarkTimer, device_name, print_line
+
+MINIBATCHES = 3  # that a phase is timed on: a call's start costs a tenth of one
+PHASES = ("environment", "acting", "rewards", "policy", "motivation")
+
+
+def timed_steps(config: Config) -> int:
+    """Steps of the rollout that phases are timed on: the fewest that give `MINIBATCHES` of each."""
+    sizes = (config.ppo.minibatch_size, config.algo.minibatch_size)
+    for steps in range(1, config.rollout_length + 1):
+        rows = steps * config.num_envs
+        if rows >= MINIBATCHES * max(sizes) and not any(rows % size for size in sizes):
+            return steps
+    return config.rollout_length
+
+
+def first_steps(batch: sndjax.Experience, steps: int) -> sndjax.Experience:
+    """The first steps of a batch."""
+    rollout = batch.rollout._replace(frames=batch.rollout.frames[: steps + 1])
+    rollout = rollout._replace(**{n: getattr(rollout, n)[:steps] for n in rollout._fields[1:]})
+    own = {n: getattr(batch, n)[:steps] for n in ("reward", "truncated", "log_prob")}
+    return batch._replace(rollout=rollout, value=batch.value[: steps + 1], **own)
+
+
+class PhaseBenchmark:
+    """An agent with its environments, and one rollout of them."""
+
+    def __init__(self, config: Config):
+        """Make everything, and collect one rollout."""
+        self.timer = BenchmarkTimer()
+        self.timer.time_product()  # compiled here, and not counted
+        self.timer.products.clear()
+        self.config = config
+        self.experiment = build_experiment(config)
+        self.agent = self.experiment.agent
+        self.states = self.experiment.init_states()
+        self.collector = self.experiment.make_collector()
+        self.batch, _ = self.collector.collect(self.actor())
+
+    def actor(self) -> sndjax.Actor:
+        """Return the part of the states that acts now."""
+        return sndjax.Actor(self.states.policy, self.states.observations, self.states.key)
+
+    def phase_seconds(self) -> dict[str, float]:
+        """Time each phase of a whole iteration, from some of its steps and minibatches."""
+        steps = timed_steps(self.config)
+        found = self.collecting_seconds(steps)
+        config, agent = self.config, self.agent
+        times = config.rollout_length / steps
+        epochs = min(2, config.ppo.epochs)
+        for name, phase, counted in (
+            ("rewards", self.rewards_phase(steps), times),
+            ("policy", self.policy_phase(steps, epochs), times * config.ppo.epochs / epochs),
+            ("motivation", self.module_phase(steps), times),
+        ):
+            found[name] = 0.0
+            if agent.intrinsic is None and name != "policy":
+                continue
+            print_line(f"timing {name}")
+            found[name] = counted * self.repeated(map_over_seeds(phase, config.num_seeds), name)
+        return found
+
+    def collecting_seconds(self, steps: int) -> dict[str, float]:
+        """Time stepping and acting, one after the other; with two pools a run does them at once."""
+        config = self.config
+        times = config.rollout_length / steps
+        pool_states, pool = self.collector.pool_states, self.experiment.pool
+        rows = (config.num_seeds, config.num_envs // len(pool_states))
+        draw = np.random.default_rng(0)
+        actions = draw.integers(0, pool.num_actions, (steps, *rows), np.int32)
+        frame, actor = pool.reset(), self.actor()
+        window = np.zeros((rows[0], config.env.stack, *frame.shape[1:]), pool.dtype)
+        first = np.ones(rows, bool)
+
+        def stepping() -> None:
+            for chosen in actions:
+                for state in pool_states:
+                    state.pool.send(chosen)
+                for state in pool_states:
+                    state.pool.receive()
+
+        def acting() -> None:
+            kept: Any = window
+            for t in range(steps):
+                for _ in pool_states:
+                    output, kept = self.experiment.act(actor, kept, frame, first, np.int32(t))
+                    np.asarray(output.executed)
+
+        found = {"environment": times * self.timer.seconds(stepping)}
+        found["acting"] = times * (1 + 1 / config.rollout_length) * self.timer.seconds(acting)
+        return found
+
+    def rewards_phase(self, steps: int) -> Callable[..., Any]:
+        """Return a function of one seed that computes intrinsic rewards of a short rollout."""
+
+        def rewards(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
+            batch = zero_reset_rows(first_steps(batch, steps))
+            return compute_intrinsic_rewards(self.agent, state, batch, state.key)[1]
+
+        return rewards
+
+    def policy_phase(self, steps: int, epochs: int) -> Callable[..., Any]:
+        """Return a function of one seed that runs some PPO epochs on a short rollout."""
+        agent = self.agent
+        shorter = agent._replace(ppo=agent.ppo._replace(epochs=epochs))
+
+        def policy(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
+            batch = zero_reset_rows(first_steps(batch, steps))
+            estimate = compute_advantages(agent.ppo, batch, jnp.zeros_like(batch.reward))
+            return update_policy(shorter, state, batch, *estimate, state.key)[0]
+
+        return policy
+
+    def module_phase(self, steps: int) -> Callable[..., Any]:
+        """Return a function of one seed that trains the intrinsic module on a short rollout."""
+
+        def module(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
+            batch = zero_reset_rows(first_steps(batch, steps))
+            return update_intrinsic_module(self.agent, state, batch, state.key)[0]
+
+        return module
+
+    def repeated(self, phase: Callable[..., Any], name: str) -> float:
+        """The seconds of a jitted phase; a state that is trained goes on to the next."""
+        learns = name != "rewards"
+        compiled = jax.jit(phase, donate_argnums=0 if learns else ())
+
+        def work() -> Any:
+            result = compiled(self.states, self.batch)
+            if learns:
+                self.states = result
+            return result
+
+        return self.timer.seconds(work)
+
+    def compile_update(self) -> tuple[Any, float, float]:
+        """The whole update, and the seconds that compiling it takes without the cache and with."""
+        step = jax.jit(self.experiment.make_train_step(), donate_argnums=0)
+        gone = []
+        for cached in (False, True, True):  # the first with the cache may have to fill it
+            jax.config.update("jax_enable_compilation_cache", cached)
+            compilation_cache.reset_cache()  # jax asks once whether there is one
+            jax.clear_caches()  # and keeps what it compiled
+            begun = time.perf_counter()
+            compiled = step.lower(self.states, self.batch).compile()
+            gone.append(time.perf_counter() - begun)
+        return compiled, gone[0], gone[2]
+
+    def whole_seconds(self, update: Any) -> tuple[float, float]:
+        """Collecting and learning of one real iteration, after one that does not count."""
+        for _ in range(2):
+            begun = time.perf_counter()
+            batch, _ = self.collector.collect(self.actor())
+            collected = time.perf_counter()
+            self.states, _, _ = jax.block_until_ready(update(self.states, batch))
+            learned = time.perf_counter()
+        return collected - begun, learned - collected
+
+
+def config_gflop_per_step(
+    config: Config, agent: sndjax.AgentSpec, shape: tuple[int, ...]
+) -> float | None:
+    """10^9 operations per environment step, worked out by hand; None where nobody did."""
+    if config.algo.module is not None:
+        return None
+    work = flops_per_step(
+        None if config.algo.name == "ppo" else config.algo.objective,
+        config.algo.signal,
+        agent.network.architecture,
+        shape,
+        config.env.stack,
+        agent.network.num_actions,
+        config.ppo.epochs,
+        config.algo.minibatch_size,
+        config.algo.name == "qrnd",
+    )
+    return None if work is None else work / 1e9
+
+
+def measure(config: Config, whole: bool) -> dict[str, Any]:
+    """Everything that is printed."""
+    print_line(f"{config.env.name} {config.algo.name}: matrix product, environments, a rollout")
+    bench = PhaseBenchmark(config)
+    phases = bench.phase_seconds()
+    print_line("compiling the whole update, without the cache and with")
+    update, compile_seconds, cached_seconds = bench.compile_update()
+    steps = config.rows * config.num_seeds
+    gone = sum(phases.values())
+    measured: dict[str, Any] = {
+        "env": config.env.name,
+        "algo": config.algo.name,
+        "platform": jax.default_backend(),
+        "device": device_name(),
+        "num_seeds": config.num_seeds,
+        "num_envs": config.num_envs,
+        "rollout_length": config.rollout_length,
+        "steps_per_second": steps / gone,
+        "seconds_per_1000_steps": {n: 1000 * phases[n] / steps for n in PHASES},
+        "compile_seconds": compile_seconds,
+        "compile_seconds_cached": cached_seconds,
+    }
+    if whole:
+        print_line(f"timing two whole iterations, about {gone:.0f} s each")
+        collecting, learning = bench.whole_seconds(update)
+        measured["whole_steps_per_second"] = steps / (collecting + learning)
+        measured["whole_collecting_share"] = collecting / (collecting + learning)
+        measured["phases_over_whole"] = gone / (collecting + learning)
+    rate, work = (
+        bench.timer.gflops(),
+        config_gflop_per_step(config, bench.agent, bench.experiment.pool.shape),
+    )
+    bench.collector.close()
+    return measured | {
+        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+        "matmul_gflops": rate,
+        "nominal_gflop_per_step": work,
+        "share_of_peak": None if work is None else measured["steps_per_second"] * work / rate,
+        "versions": versions(),
+    }
+
+
+def phase_table(measured: dict[str, Any]) -> str:
+    """The figures for a person."""
+    per_1000 = measured["seconds_per_1000_steps"]
+    whole = sum(per_1000.values())
+    lines = [f"{'phase':<14}{'s / 1,000 steps':>16}{'share':>8}"]
+    for name, seconds in per_1000.items():
+        lines.append(f"{name:<14}{seconds:>16.3f}{seconds / whole:>8.1%}")
+    lines.append(f"{'all of it':<14}{whole:>16.3f}{'100%':>8}")
+    share = measured["share_of_peak"]
+    lines += [
+        f"{measured['steps_per_second']:,.1f} steps/s on {measured['device']}",
+        f"compiling the update {measured['compile_seconds']:.0f} s, from the cache "
+        f"{measured['compile_seconds_cached']:.1f} s, peak memory "
+        f"{measured['peak_rss_mb']:,.0f} MB",
+        f"matrix product {measured['matmul_gflops']:.0f} GFLOP/s"
+        + (
+            ""
+            if share is None
+            else f"; {measured['nominal_gflop_per_step']:.2f} GFLOP of nominal work a step: "
+            f"{share:.2f} of that"
+        ),
+    ]
+    if "phases_over_whole" in measured:
+        lines.append(
+            f"a whole iteration: {measured['whole_steps_per_second']:,.1f} steps/s; the phases' "
+            f"sum is {measured['phases_over_whole']:.3f} of it"
+        )
+    return "\n".join(lines)
+
+
+def print_benchmark(config: Config, whole: bool) -> None:
+    """Measure a configuration, and print the table and the JSON object.
+
+    Raises:
+      ConfigError: the configuration names a run.
+    """
+    if config.resume or config.run_dir:
+        raise ConfigError("a benchmark writes no run: no resume, no run_dir")
+    enable_compilation_cache()
+    measured = measure(config, whole)
+    print_line(phase_table(measured))
+    print_line(json.dumps(measured))

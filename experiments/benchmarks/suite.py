@@ -1,0 +1,69 @@
+"""The benchmark of each algorithm beside the committed figures."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from ..system.errors import ConfigError
+from ..system.subprocesses import ROOT, child_environment, command_line
+from .compiled_cost import ALGORITHMS
+
+RESULTS = ROOT / "docs" / "results"
+
+
+def run_bench(*options: str) -> dict[str, Any]:
+    """The last line of one benchmark."""
+    command = command_line("bench", "env=Venture", *options)
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, text=True, check=True, env=child_environment()
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def results_file(platform: str) -> Path:
+    """Where the figures of a kind of device are kept."""
+    return RESULTS / f"bench-{platform}.json"
+
+
+def print_suite(names: list[str], write: bool) -> None:
+    """Run each benchmark in a process of its own, and print a line for each.
+
+    Args:
+      names: the algorithms.
+      write: replace the committed figures.
+
+    Raises:
+      ConfigError: there are no figures of an algorithm.
+    """
+    if unknown := set(names) - set(ALGORITHMS):
+        raise ConfigError(
+            f"no figures of {', '.join(sorted(unknown))}; there is {', '.join(ALGORITHMS)}"
+        )
+    print(
+        f"{'':<20}{'steps/s':>9}{'share of peak':>15}{'to before':>11}{'peak MB':>9}"
+        f"{'compile s':>11}",
+        flush=True,
+    )
+    left: list[tuple[str, ...]] = [(f"algo={name}",) for name in names]
+    before: dict[str, Any] = {}
+    after: dict[str, Any] = {}
+    while left:
+        options = left.pop(0)
+        name = " ".join(options).removeprefix("algo=")
+        found = run_bench(*options)
+        if not after:
+            path = results_file(found["platform"])
+            before = json.loads(path.read_text()) if path.exists() else {}
+            if found["platform"] != "cpu":
+                left.append(("algo=snd_std", "num_seeds=4"))
+        after[name] = found
+        share = found["share_of_peak"]
+        ratio = f"{share / before[name]['share_of_peak']:.2f}" if name in before else "-"
+        print(
+            f"{name:<20}{found['steps_per_second']:>9.1f}{share:>15.2f}{ratio:>11}"
+            f"{found['peak_rss_mb']:>9,.0f}{found['compile_seconds']:>11.0f}",
+            flush=True,
+        )
+    if write:
+        path.write_text(json.dumps(before | after, indent=1) + "\n")

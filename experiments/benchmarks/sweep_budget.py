@@ -1,0 +1,199 @@
+"""What a sweep of the thesis' size costs, on paper."""
+
+import heapq
+import json
+from collections import Counter
+from functools import cache
+from statistics import median
+from typing import Any, NamedTuple, cast
+
+import jax
+
+from sndjax.algorithms import NAMED
+
+from ..config.compose import load_config
+from ..sweeps import jobs
+from ..sweeps.multirun import compose_hydra
+from ..system.display import ProgressBars
+from .counted_flops import INPUTS, gflop_per_step, thesis_experiment
+from .suite import results_file
+
+REFERENCE = "snd_vic"  # of algorithms that have no benchmark
+LOG_BYTES = 1100  # of a line of metrics.jsonl, with TensorBoard's copy of its figures twice that
+ROLLOUT_MB = {"Atari": 129 * 128 * 96 * 96 / 1e6, "Procgen": 129 * 128 * 64 * 64 * 3 / 1e6}
+KEPT = 3  # checkpoints: the newest two and the best
+HOUR = 3600.0
+
+
+class RunCost(NamedTuple):
+    """What the runs of one algorithm on one kind of input cost."""
+
+    runs: int
+    steps: int  # of each
+    gflop: float  # per step
+    state_mb: float
+    iterations: int
+
+
+def sweep_costs(sweep: str) -> dict[tuple[str, str], RunCost]:
+    """By algorithm and family."""
+    params = compose_hydra([f"sweep={sweep}"]).sweeper.params
+    listed = jobs.expand_product([f"{key}={value}" for key, value in params.items()])
+    runs = Counter(tuple(one for one in own if not one.startswith("seed=")) for own in listed)
+    found: dict[tuple[str, str], RunCost] = {}
+    with ProgressBars() as bars:
+        for overrides in bars.track("algorithms and environments", list(runs)):
+            config = load_config(list(overrides))
+            family = "Atari" if config.env.stack == 4 else "Procgen"
+            key = (config.algo.name, family)
+            if key not in found:
+                work, megabytes = work_and_state(*key)
+                found[key] = RunCost(0, config.total_steps, work, megabytes, config.iterations)
+            found[key] = found[key]._replace(runs=found[key].runs + runs[overrides])
+    return found
+
+
+@cache
+def work_and_state(algo: str, family: str) -> tuple[float, float]:
+    """10^9 operations per step, and the megabytes of a seed's state."""
+    size, _, _, actions = INPUTS[family]
+    make: Any = NAMED[algo]
+    module = make(actions, size) if make else None
+    state = cast(Any, thesis_experiment(module, family)[1])._replace(key=jax.numpy.zeros(()))
+    megabytes = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state)) / 1e6
+    return gflop_per_step(module, family), megabytes
+
+
+def makespan(hours: list[float], machines: int) -> float:
+    """The hours until the last of some runs is over, the longest begun first.
+
+    >>> makespan([3.0, 2.0, 2.0, 1.0], 2)
+    4.0
+    """
+    free = [0.0] * machines
+    for own in sorted(hours, reverse=True):
+        heapq.heapreplace(free, free[0] + own)
+    return max(free)
+
+
+class Rates(NamedTuple):
+    """What was measured.
+
+    Attributes:
+      cpu: of the algorithms that have a benchmark on two cores, its figures.
+      gpu: steps per second on a GPU, by algorithm; empty where none was measured.
+      pool: steps per second of the environments on the cores beside a GPU.
+    """
+
+    cpu: dict[str, Any]
+    gpu: dict[str, float]
+    pool: float
+
+    @property
+    def slowest_gpu(self) -> float:
+        """The rate of what was not measured on a GPU."""
+        return min(self.gpu.values(), default=self.pool)
+
+
+def read_rates(cores: int) -> Rates:
+    """Return the committed figures, for this many cores beside each GPU."""
+    cpu = json.loads(results_file("cpu").read_text())
+    path = results_file("gpu")
+    raw = json.loads(path.read_text()) if path.exists() else {}
+    # Whole iterations where they were timed; not of several seeds at once.
+    gpu = {
+        name: one.get("whole_steps_per_second", one["steps_per_second"])
+        for name, one in raw.items()
+        if one["num_seeds"] == 1
+    }
+    stepping = [one["seconds_per_1000_steps"]["environment"] for one in cpu.values()]
+    return Rates(cpu, gpu, 1000 / median(stepping) / 2 * cores)
+
+
+class SweepTotals(NamedTuple):
+    """What all runs of a sweep need together.
+
+    Attributes:
+      slow: hours of every run on two cores.
+      fast: hours of every run on a GPU.
+      disk: MB.
+      tflops: 10^12 operations per second that the heaviest algorithm asks of a GPU.
+    """
+
+    slow: list[float]
+    fast: list[float]
+    disk: float
+    tflops: float
+
+
+def algorithm_rows(sweep: str, rates: Rates) -> tuple[list[str], SweepTotals]:
+    """Return the table of the sweep's algorithms, a line each, and what all need together."""
+    lines = [
+        "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | GPU memory, MB "
+        "| disk, MB | hours on two cores | GPU hours |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    slow: list[float] = []
+    fast: list[float] = []
+    disk, tflops = 0.0, 0.0
+    for (algo, family), cost in sorted(sweep_costs(sweep).items()):
+        known = algo if algo in rates.cpu else REFERENCE
+        work = work_and_state(known, "Atari")[0]
+        here = rates.cpu[known]["steps_per_second"] * work / cost.gflop
+        rate = rates.gpu.get(algo, rates.slowest_gpu)
+        tflops = max(tflops, rate * cost.gflop / 1e3)
+        two_cores = cost.steps / here / HOUR
+        on_gpu = cost.steps / rate / HOUR
+        own = KEPT * cost.state_mb + 3 * LOG_BYTES * cost.iterations / 1e6
+        disk += cost.runs * own
+        slow += [two_cores] * cost.runs
+        fast += [on_gpu] * cost.runs
+        lines.append(
+            f"| `{algo}` | {family} | {cost.runs} | {cost.steps / 1e6:,.0f} | {cost.gflop:.2f} "
+            f"| {cost.state_mb:,.0f} | {2 * cost.state_mb + ROLLOUT_MB[family]:,.0f} | {own:,.0f} "
+            f"| {two_cores:,.0f} | {on_gpu:.1f} |"
+        )
+    return lines, SweepTotals(slow, fast, disk, tflops)
+
+
+def budget_tables(sweep: str, cores: int, gpu_tflops: float) -> str:
+    """Return the tables, in Markdown.
+
+    Args:
+      sweep: a file of conf/sweep.
+      cores: processor cores beside each GPU.
+      gpu_tflops: peak of one GPU, 10^12 operations per second.
+    """
+    rates = read_rates(cores)
+    lines, totals = algorithm_rows(sweep, rates)
+    slow, fast = totals.slow, totals.fast
+    resident = max(one["peak_rss_mb"] for one in rates.cpu.values()) / 1e3
+    how = f"of {rates.pool:,.0f} steps/s, as its environments"
+    if rates.gpu:
+        others = f"others at {rates.slowest_gpu:,.0f} steps/s"
+        how = f"as measured (bench-gpu.json: {', '.join(rates.gpu)}; {others})"
+    lines += [
+        "",
+        f"{len(fast)} runs, {sum(slow):,.0f} hours on machines of two cores, "
+        f"{sum(fast):,.0f} hours on GPUs {how}; {totals.disk / 1e3:,.0f} GB on the disk; "
+        f"{resident:.1f} GB of memory for each run at once.",
+        "",
+    ]
+    if not rates.gpu:
+        lines += [
+            f"A GPU keeps up with {cores} cores of environments as long as its learner reaches "
+            f"{totals.tflops:,.0f} TFLOP/s ({totals.tflops / gpu_tflops:.0%} of its TF32 peak) "
+            "for the heaviest algorithm; below that it is the limit.",
+            "",
+        ]
+    lines += [
+        "| GPUs | days | busy | memory, GB | the longest run, hours |",
+        "|---|---|---|---|---|",
+    ]
+    for count in (1, 8, 64):
+        hours = makespan(fast, count)
+        lines.append(
+            f"| {count} | {hours / 24:,.1f} | {sum(fast) / (count * hours):.0%} "
+            f"| {count * resident:,.0f} | {max(fast):.1f} |"
+        )
+    return "\n".join(lines)

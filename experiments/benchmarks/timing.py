@@ -1,0 +1,64 @@
+"""Timing work beside a matrix product, on machines that are not always as fast."""
+
+import os
+import platform
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+REPEATS = 3
+MATMUL_SIZE = 4096  # of the matrix product
+
+
+def print_line(text: str) -> None:
+    """A line, at once."""
+    print(text, flush=True)
+
+
+class BenchmarkTimer:
+    """Times some work, and a matrix product beside it: a shared machine is not always as fast."""
+
+    def __init__(self) -> None:
+        """Nothing was timed yet."""
+        self.product = jax.jit(partial(jnp.matmul, precision="highest"))
+        self.products: list[float] = []  # seconds
+
+    def time_product(self) -> None:
+        """Time a float32 matrix product of 4096 x 4096 x 4096."""
+        a = jnp.ones((MATMUL_SIZE, MATMUL_SIZE), jnp.float32)
+        begun = time.perf_counter()
+        self.product(a, a).block_until_ready()
+        self.products.append(time.perf_counter() - begun)
+
+    def gflops(self) -> float:
+        """10^9 operations per second of the product, the median."""
+        return 2 * MATMUL_SIZE**3 / float(np.median(self.products)) / 1e9
+
+    def seconds(self, work: Callable[[], Any]) -> float:
+        """The median time of the work, after one that does not count; a product before each."""
+        jax.block_until_ready(work())
+        times = []
+        for _ in range(REPEATS):
+            self.time_product()
+            begun = time.perf_counter()
+            jax.block_until_ready(work())
+            times.append(time.perf_counter() - begun)
+        return float(np.median(times))
+
+
+def device_name() -> str:
+    """The device in words: what jax calls it, on a CPU its model and cores."""
+    if jax.default_backend() != "cpu":
+        return jax.devices()[0].device_kind
+    try:
+        with open("/proc/cpuinfo") as file:
+            lines = [line for line in file if line.startswith("model name")]
+        model = lines[0].split(":")[1].strip()
+    except (OSError, IndexError):
+        model = platform.processor() or platform.machine()
+    return f"{model}, {os.cpu_count()} cores"

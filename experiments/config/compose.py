@@ -1,0 +1,193 @@
+"""From the command line to a validated `Config`, without importing jax."""
+
+from pathlib import Path
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from ..system.errors import ConfigError
+from .library import algorithm_table
+from .saved import config_schema, innermost_reason, load_repeated, load_resumed, load_resumed_or_new
+from .schema import OBJECTIVES, Config
+from .validation import (
+    ALL_GROUPS,
+    CONF,
+    GENERIC_ENVS,
+    GROUPS,
+    config_options,
+    group_choices,
+    unknown_name_error,
+    validate_config,
+)
+
+
+def parse_overrides(arguments: list[str]) -> dict[str, Override]:
+    """The overrides by key; refused where they are no key=value of a known key."""
+    parser = OverridesParser.create()
+    known = {name for name, _ in config_options()} | set(ALL_GROUPS)
+    parsed: dict[str, Override] = {}
+    for argument in arguments:
+        try:
+            override = parser.parse_override(argument)
+        except HydraException:
+            hint = "quote special characters" if "=" in argument else "write key=value"
+            raise ConfigError(f"cannot read '{argument}': {hint}") from None
+        key = override.key_or_group
+        if override.is_delete() or override.package is not None:
+            raise ConfigError(f"cannot read '{argument}': write key=value")
+        if override.is_sweep_override():
+            raise ConfigError(f"'{argument}' names several values; give one")
+        if key not in known and not key.startswith("env.options."):
+            raise unknown_name_error("option", key, known)
+        if key in parsed:
+            raise ConfigError(f"'{key}' is given twice")
+        parsed[key] = override
+    for group in ALL_GROUPS:
+        if group in parsed and parsed[group].value() not in group_choices(group):
+            name = str(parsed[group].value())
+            hint = " (any envpool task: env=envpool env.id=NAME)" if group == "env" else ""
+            raise ConfigError(f"{unknown_name_error(group, name, group_choices(group))}{hint}")
+    return parsed
+
+
+def load_config(arguments: list[str]) -> Config:
+    """The configuration that the command line asks for.
+
+    Raises:
+      ConfigError: in one line, what is wrong with it and what would be right.
+    """
+    overrides = parse_overrides(arguments)
+    for key in ("resume", "repeat"):
+        if key in overrides and overrides[key].value() is None:
+            del overrides[key]
+    if "repeat" in overrides:
+        return load_repeated(overrides)
+    if "resume" in overrides and overrides["resume"].value() != "auto":
+        return load_resumed(overrides)
+    config = compose_config(overrides)
+    return load_resumed_or_new(config) if config.resume == "auto" else config
+
+
+def compose_config(overrides: dict[str, Override]) -> Config:
+    """Return the configuration that Hydra composes of the groups, with the options over them.
+
+    Raises:
+      ConfigError: a group is not named, or the options do not go together.
+    """
+    if "algo.module" in overrides:
+        overrides.setdefault("algo", OverridesParser.create().parse_override("algo=module"))
+    for group in GROUPS:
+        if group not in overrides:
+            names = ", ".join(group_choices(group))
+            raise ConfigError(f"say {group}=NAME, one of: {names} (--help explains)")
+    check_algorithm(overrides)
+    lines = [override_line(override) for override in overrides.values()]
+    lines += task_lines(overrides)
+    if "algo.module" in overrides:
+        lines.append(f"algo.name={function_name(str(overrides['algo.module'].value()))}")
+    register_configs()
+    try:
+        with initialize_config_dir(str(CONF.resolve()), version_base="1.3"):
+            config = OmegaConf.to_object(compose("config", overrides=lines))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(innermost_reason(error)) from None
+    assert isinstance(config, Config)
+    return validate_config(config)
+
+
+def register_configs() -> None:
+    """Tell Hydra the schema and, from the table of algorithms, the configuration of each."""
+    store = ConfigStore.instance()
+    store.store(name="schema", node=config_schema())
+    for name, row in algorithm_table().items():
+        if row.objective is None:  # conf/algo/ppo.yaml
+            continue
+        node = {
+            "name": name,
+            "objective": row.objective,
+            "signal": row.signal,
+            "eta": f"${{oc.select:env.eta.{name},${{oc.select:env.eta.other,0.5}}}}",
+            "preprocess": row.options.get("preprocess", "none"),
+            "gradient": row.options.get("gradient", "symmetric"),
+        }
+        store.store(group="algo", name=name, node=node)
+
+
+def task_lines(overrides: dict[str, Override]) -> list[str]:
+    """Return the overrides that follow from the task that `env.id` names.
+
+    Raises:
+      ConfigError: the environment has its own task, or needs one, or is not for this one.
+    """
+    env = str(overrides["env"].value())
+    if env in GENERIC_ENVS and "env.id" not in overrides:
+        raise ConfigError(f"env={env} needs a task: env.id={GENERIC_ENVS[env]}, say")
+    for key in ("env.id", "env.suite"):
+        if key in overrides and env not in GENERIC_ENVS:
+            raise ConfigError(f"{key}: env={env} has its own; take env=envpool or env=gymnasium")
+    task = str(overrides["env.id"].value()) if "env.id" in overrides else ""
+    of_module = env == "MiniGrid" and ":" in task  # minigrid's own, which gymnasium makes
+    if env == "MiniGrid" and not task.rpartition(":")[2].startswith("MiniGrid-"):
+        raise ConfigError(
+            f"env.id={task}: env=MiniGrid is for MiniGrid-... and minigrid:MiniGrid-..."
+        )
+    lines = []
+    if of_module and "env.suite" not in overrides:
+        lines.append("env.suite=gymnasium")
+    if task and env != "gymnasium" and not of_module:
+        from .envpool_tasks import family_of  # imports envpool
+
+        family = family_of(task)
+        if env == "envpool":
+            lines.append(f"family@env={family}")
+    return lines
+
+
+def check_algorithm(overrides: dict[str, Override]) -> None:
+    """Raise where the options that make up a cell do not go with the algorithm that is named."""
+    algo = str(overrides["algo"].value())
+    given = [k for k in ("algo.objective", "algo.signal") if k in overrides]
+    if given and algo == "ppo":
+        known = ", ".join(OBJECTIVES)
+        raise ConfigError(
+            f"algo=ppo has no encoder, so {given[0]} means nothing; take algo=grid "
+            f"algo.objective=NAME algo.signal=NAME, objectives being {known}"
+        )
+    unused = {"ppo.int_weight", "ppo.gamma_int", "ppo.episodic_int"}
+    unused |= {k for k in overrides if k.startswith("algo.")} - {"algo.eta"}
+    if algo == "ppo" and unused & set(overrides):
+        raise ConfigError(f"{min(unused & set(overrides))}: algo=ppo has no intrinsic reward")
+    if given and algo != "grid":
+        raise ConfigError(f"{given[0]}: algo={algo} is a cell with its own; take algo=grid")
+    if algo == "grid" and len(given) < 2:
+        raise ConfigError("algo=grid needs both algo.objective=NAME and algo.signal=NAME")
+    if (algo == "module") != ("algo.module" in overrides):
+        raise ConfigError("algo.module=FILE.py:FUNCTION goes with algo=module, and it with that")
+    if algo == "module":
+        for key in ("preprocess", "activation", "pairing", "gradient"):
+            if f"algo.{key}" in overrides:
+                raise ConfigError(f"algo.{key}: set it inside the function that algo.module names")
+
+
+def function_name(module: str) -> str:
+    """The function's name in FILE.py:FUNCTION."""
+    path, colon, name = module.rpartition(":")
+    if not (colon and path.endswith(".py") and name.isidentifier()):
+        raise ConfigError(f"algo.module={module}: write FILE.py:FUNCTION")
+    if not Path(path).is_file():
+        raise ConfigError(f"algo.module={module}: there is no file {path}")
+    if name in group_choices("algo"):
+        raise ConfigError(f"algo.module={module}: {name} is an algorithm; call yours otherwise")
+    return name
+
+
+def override_line(override: Override) -> str:
+    """The override as Hydra reads it; envpool's own options may be new keys."""
+    assert override.input_line is not None
+    text = override.input_line.lstrip("+")
+    return f"++{text}" if override.key_or_group.startswith("env.options.") else text

@@ -1,0 +1,95 @@
+"""What `--help` prints: options with their defaults, ranges and meanings."""
+
+from collections.abc import Iterable
+from dataclasses import MISSING, Field, fields
+from textwrap import dedent
+from typing import Any
+
+from .validation import ALL_GROUPS, config_options, group_choices
+
+RUN_USAGE = """\
+usage: sndjax env=NAME algo=NAME [key=value ...]     (or sndjax run ..., python -m experiments.run ...)
+
+Trains PPO with an intrinsic reward, for example:
+  sndjax env=MountainCar algo=snd_vic
+  sndjax env=Venture algo=snd_std num_seeds=3 total_steps=1_000_000
+  sndjax resume=runs/Venture/snd_std/<time>-<id>
+  sndjax -m env=Venture,Gravitar algo=rnd,snd_vic seed=0,9      (a sweep: docs/sweeps.md)"""
+
+
+def default_of(entry: Field[Any]) -> Any:
+    """Return the default of an option."""
+    if entry.default is not MISSING:
+        return entry.default
+    assert entry.default_factory is not MISSING
+    return entry.default_factory()
+
+
+def option_lines(named: Iterable[tuple[str, Field[Any]]], width: int) -> list[str]:
+    """Return a line for each option: its name and default, its meaning, the values it may have.
+
+    Args:
+      named: pairs of an option's name and its dataclass field.
+      width: of the first column, in characters.
+    """
+    lines = []
+    for name, entry in named:
+        default = default_of(entry)
+        shown = "" if default in (None, "???") or default == {} else str(default)
+        about = f"{entry.metadata['about']}{allowed(entry.metadata)}"
+        lines.append(f"  {f'{name}={shown}':<{width}} {about}")
+    return lines
+
+
+def allowed(limits: Any) -> str:
+    """Return the values that an option may have, in brackets, or "".
+
+    >>> allowed({"choices": None, "low": 0, "above": None, "high": 1})
+    ' [0 to 1]'
+    >>> allowed({"choices": ("a", "b"), "low": None, "above": None, "high": None})
+    ' [a | b]'
+    """
+    if limits["choices"]:
+        return f" [{' | '.join(limits['choices'])}]"
+    low, above, high = limits["low"], limits["above"], limits["high"]
+    if low is not None and high is not None:
+        return f" [{low} to {high}]"
+    parts = [
+        f"{words} {bound}"
+        for words, bound in (("at least", low), ("more than", above), ("at most", high))
+        if bound is not None
+    ]
+    return f" [{', '.join(parts)}]" if parts else ""
+
+
+def run_option_lines() -> list[str]:
+    """Return the lines about every option of `sndjax run`."""
+    head = "options (key=value, with their defaults; env and algo may change them)"
+    return [head, *option_lines(config_options(), 34)]
+
+
+def run_help() -> str:
+    """Return what `sndjax run --help` prints."""
+    lines = [RUN_USAGE]
+    titles = ("environments", "algorithms", "presets, which may be left out")
+    for group, title in zip(ALL_GROUPS, titles, strict=True):
+        lines += ["", f"{title} ({group}=NAME)"]
+        lines += [f"  {name:<18} {about}" for name, about in group_choices(group).items()]
+    return "\n".join([*lines, "", *run_option_lines()])
+
+
+def tool_help(about: str, kind: Any, takes_run_options: bool = False) -> str:
+    """Return what `--help` of a tool prints.
+
+    Args:
+      about: the docstring of the tool.
+      kind: the dataclass of its options, made by `experiments.config.schema.option`.
+      takes_run_options: the tool takes the options of `sndjax run` too.
+    """
+    lines = [dedent(about).strip()]
+    own = [(entry.name, entry) for entry in fields(kind)]
+    if own:
+        lines += ["", "options (key=value, or --key value)", *option_lines(own, 26)]
+    if takes_run_options:
+        lines += ["", *run_option_lines()]
+    return "\n".join(lines)

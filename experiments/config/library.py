@@ -1,0 +1,61 @@
+"""What the library says of itself, read from its files without importing jax."""
+
+import ast
+import importlib.util
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+
+@cache
+def library_path() -> Path:
+    """Return the folder of the package `sndjax`, without importing it."""
+    spec = importlib.util.find_spec("sndjax")
+    assert spec is not None
+    assert spec.submodule_search_locations is not None
+    return Path(next(iter(spec.submodule_search_locations)))
+
+
+@cache
+def module_names(subpackage: str) -> tuple[str, ...]:
+    """Return the module names in a library subpackage: one file, one constructor of its name."""
+    files = (library_path() / subpackage).glob("*.py")
+    return tuple(sorted(path.stem for path in files if path.stem != "__init__"))
+
+
+@cache
+def constructor_parameters(subpackage: str, name: str) -> tuple[str, ...]:
+    """Return the parameter names of the constructor of an objective or a signal.
+
+    >>> constructor_parameters("signals", "re3")
+    ('k',)
+    """
+    tree = ast.parse((library_path() / subpackage / f"{name}.py").read_text())
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and node.name == name:
+            return tuple(arg.arg for arg in (*node.args.args, *node.args.kwonlyargs))
+    raise ValueError(f"sndjax/{subpackage}/{name}.py defines no function {name}")
+
+
+def has_predictor(signal: str) -> bool:
+    """Return True if the signal distils the encoder into a predictor network."""
+    return "predictor" in constructor_parameters("signals", signal)
+
+
+def has_forward_model(signal: str) -> bool:
+    """Return True if the signal has a forward loss whose gradient into the encoder is chosen."""
+    return "gradient" in constructor_parameters("signals", signal)
+
+
+@cache
+def algorithm_table() -> dict[str, Any]:
+    """Return `sndjax.algorithm_table.ALGORITHMS`: the named algorithms by name."""
+    path = library_path() / "algorithm_table.py"
+    spec = importlib.util.spec_from_file_location("_sndjax_algorithm_table", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module.ALGORITHMS

@@ -1,0 +1,227 @@
+"""Configurations that are read back: to go on with a run, or to repeat one.
+
+They may come from anywhere: nothing in them is evaluated, and none may name code.
+"""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+from hydra.core.override_parser.types import Override
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from ..system.errors import ConfigError
+from ..system.files import is_file
+from .schema import Config
+from .validation import GENERIC_ENVS, GROUPS, config_options, get_option, validate_config
+
+CONFIG = "config.yaml"
+MADE_WITH = "made_with"
+# What may change when a run goes on.
+CHANGEABLE = ("total_steps", "resume", "repeat", "run_dir", "tracker", "group", "distributed")
+
+
+class SavedConfig(NamedTuple):
+    """A configuration with the versions that it was run with."""
+
+    config: Config
+    made_with: dict[str, str]
+
+
+class NoAliasLoader(yaml.SafeLoader):
+    """YAML without aliases: a few of them, nested, would fill the memory."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has an alias")
+        return super().compose_node(parent, index)
+
+
+def config_schema() -> DictConfig:
+    """The dataclasses as an OmegaConf schema that can still be merged into."""
+
+    def thaw(node: DictConfig) -> DictConfig:
+        OmegaConf.set_readonly(node, None)
+        for key in node:
+            child = node._get_node(key)
+            if isinstance(child, DictConfig):
+                thaw(child)
+        return node
+
+    return thaw(OmegaConf.structured(Config))
+
+
+def innermost_reason(error: Exception) -> str:
+    """The innermost cause of a Hydra or OmegaConf error, on one line."""
+    while error.__cause__ is not None and isinstance(error.__cause__, Exception):
+        error = error.__cause__
+    lines = [part.strip() for part in str(error).splitlines() if part.strip()]
+    keys = [part.split(":", 1)[1].strip() for part in lines if part.startswith("full_key:")]
+    what = lines[0] if lines else type(error).__name__
+    return f"{keys[0]}: {what}" if keys else what
+
+
+def to_yaml(stored: SavedConfig) -> str:
+    """Every option of a run, defaults too, as it can be resumed and repeated from."""
+    body = asdict(stored.config) | {"resume": None, "repeat": None}
+    return yaml.safe_dump({MADE_WITH: stored.made_with} | body, sort_keys=False)
+
+
+def parse_saved(text: str, where: str) -> SavedConfig:
+    """A configuration from its text.
+
+    Raises:
+      ConfigError: it is none.
+    """
+    try:
+        found = yaml.load(text, NoAliasLoader)  # a safe loader: it makes plain data only
+        if not isinstance(found, dict):
+            raise ConfigError("it is no configuration")
+        made_with = found.pop(MADE_WITH, {})
+        if not isinstance(made_with, dict):
+            raise ConfigError(f"{MADE_WITH} is no list of versions")
+        if "${" in str(found):
+            raise ConfigError("it holds a reference ('${'); a stored value stands for itself")
+        config = OmegaConf.to_object(OmegaConf.merge(config_schema(), found))
+    except Exception as error:  # what a file from elsewhere makes a loader raise is open
+        raise ConfigError(f"{where} cannot be read: {innermost_reason(error)}") from None
+    assert isinstance(config, Config)
+    return SavedConfig(config, {str(name): str(version) for name, version in made_with.items()})
+
+
+def read_saved(path: Path) -> SavedConfig:
+    """A configuration from its file.
+
+    Raises:
+      ConfigError: it is none.
+    """
+    try:
+        return parse_saved(path.read_text(), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from None
+
+
+def run_settings(config: Config) -> dict[str, Any]:
+    """Every option that must stay as it is while a run goes on, by its dotted name."""
+    names = ["env.name", "algo.name", *(name for name, _ in config_options())]
+    return {name: get_option(config, name) for name in names if name not in CHANGEABLE}
+
+
+def check_settings(config: Config, stored: dict[str, Any]) -> None:
+    """Raise ValueError, naming the first that is different, unless the settings are the stored.
+
+    What is younger than the checkpoint was what it is by default.
+    """
+    defaults = {name: entry.default for name, entry in config_options()}
+    for name, now in run_settings(config).items():
+        was = stored.get(name, defaults.get(name))
+        if was != now:
+            raise ValueError(f"{name} was {was}, is {now}")
+
+
+def check_code(stored: Config, overrides: dict[str, Override], what: str) -> None:
+    """Raise where a stored configuration names code that the command line does not name too."""
+    if stored.algo.module is not None and "algo.module" not in overrides:
+        raise ConfigError(
+            f"{what}: the run is of a bonus that is code, and no stored file may name code; "
+            f"say algo.module={stored.algo.module} again if you trust it"
+        )
+    if stored.env.suite == "gymnasium" and ":" in stored.env.id and "env.id" not in overrides:
+        raise ConfigError(
+            f"{what}: the run's task names a Python module, and no stored file may name code; "
+            f"say env.id={stored.env.id} again if you trust it"
+        )
+
+
+def apply_overrides(stored: Config, overrides: dict[str, Override], what: str) -> Config:
+    """The stored configuration; the options given with it may only repeat it, or extend it.
+
+    Raises:
+      ConfigError: naming the first that is different.
+    """
+    check_code(stored, overrides, what)
+    values = OmegaConf.create(asdict(stored))
+    changed = {}
+    for key, override in overrides.items():
+        if key == "preset":
+            raise ConfigError(f"{what}: the run has its settings; leave preset out")
+        was, now = (
+            OmegaConf.select(values, f"{key}.name" if key in GROUPS else key),
+            override.value(),
+        )
+        if key == "env" and now in GENERIC_ENVS:
+            continue
+        if key == "algo" and now == "module" and stored.algo.module is not None:
+            continue
+        if key in CHANGEABLE:
+            changed[key] = now
+        elif was != now:
+            raise ConfigError(f"{what}: the run has {key}={was}, not {now}")
+    try:
+        config = OmegaConf.to_object(OmegaConf.merge(config_schema(), values, changed))
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{what}: {innermost_reason(error)}") from None
+    assert isinstance(config, Config)
+    return check_extension(stored, config, what)
+
+
+def check_extension(stored: Config, config: Config, what: str) -> Config:
+    """The configuration, validated, unless it is shorter than the stored one."""
+    config = validate_config(config)
+    if config.total_steps < stored.total_steps:
+        raise ConfigError(
+            f"{what}: the run has total_steps={stored.total_steps}; "
+            "it can be extended, not shortened"
+        )
+    return config
+
+
+def load_resumed(overrides: dict[str, Override]) -> Config:
+    """The configuration of the run to go on with."""
+    directory = str(overrides.pop("resume").value())
+    path = Path(directory) / CONFIG
+    if not is_file(path):
+        raise ConfigError(f"resume={directory}: there is no run (no {CONFIG})")
+    if "run_dir" in overrides:
+        raise ConfigError("resume already names the run directory; leave run_dir out")
+    config = apply_overrides(read_saved(path).config, overrides, "resume")
+    return replace(config, resume=directory, run_dir=directory)
+
+
+def load_resumed_or_new(config: Config) -> Config:
+    """`resume=auto`: the run in `run_dir` if there is one, else a fresh one there.
+
+    Raises:
+      ConfigError: there is one of another configuration.
+    """
+    if config.run_dir is None:
+        raise ConfigError("resume=auto looks in run_dir=DIRECTORY; say which")
+    path = Path(config.run_dir) / CONFIG
+    if not is_file(path):
+        return replace(config, resume=None)
+    stored = read_saved(path).config
+    before, wanted = run_settings(stored), run_settings(config)
+    for name, now in wanted.items():
+        was = before[name]
+        if was != now:
+            raise ConfigError(
+                f"resume=auto: the run in {config.run_dir} has {name}={was}, not {now}"
+            )
+    return check_extension(stored, replace(config, resume=config.run_dir), "resume=auto")
+
+
+def load_repeated(overrides: dict[str, Override]) -> Config:
+    """The configuration of a run that is to be run again, in a directory of its own."""
+    path = Path(str(overrides.pop("repeat").value()))
+    if "resume" in overrides:
+        raise ConfigError("repeat begins a run anew; resume goes on with one")
+    run_dir = overrides.pop("run_dir", None)
+    if "total_steps" in overrides:
+        raise ConfigError("repeat: a run of other total_steps is another run; leave it out")
+    if not is_file(path):
+        raise ConfigError(f"repeat={path}: there is no such file; give the {CONFIG} of a run")
+    config = apply_overrides(read_saved(path).config, overrides, "repeat")
+    where = None if run_dir is None else str(run_dir.value())
+    return replace(config, repeat=str(path), resume=None, run_dir=where)

@@ -1,0 +1,149 @@
+"""The typed configuration: every option with its default, its range and its meaning."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from omegaconf import MISSING
+
+from .library import module_names
+
+OBJECTIVES = ("none", *module_names("objectives"))
+SIGNALS = module_names("signals")
+
+
+def option(default: Any, about: str, *, low=None, high=None, above=None, choices=None) -> Any:
+    """A field with its meaning and its range: low and high are allowed values, above is not."""
+    metadata = {"about": about, "low": low, "high": high, "above": above, "choices": choices}
+    if isinstance(default, dict):
+        return field(default_factory=lambda: dict(default), metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    name: str = option(MISSING, "what results are filed under")
+    id: str = option(MISSING, "the task (with env=envpool, env=gymnasium or env=MiniGrid)")
+    suite: str = option("envpool", "who makes the task", choices=("envpool", "gymnasium"))
+    stack: int = option(1, "newest frames that the policy sees", low=1, high=16)
+    repeat_first: bool = option(
+        True, "an episode's first stack repeats its first frame, else zeros"
+    )
+    reward: str = option(
+        "raw",
+        "training reward: max(0, sign), the task's own, or 1 at the goal and 0 elsewhere",
+        choices=("sign", "raw", "goal"),
+    )
+    random_action: float = option(
+        0.0, "probability that an action is replaced by a random one", low=0, high=1
+    )
+    total_steps: int = option(1_000_000, "the default of total_steps", low=1)
+    baseline_gamma: float = option(0.99, "external discount of algo=ppo", low=0, high=1)
+    eta: dict[str, float] = option({}, "published intrinsic scale of each algorithm", low=0)
+    options: dict[str, Any] = option({}, "passed to its maker, e.g. env.options.frame_skip=4")
+
+
+@dataclass(frozen=True)
+class AlgoConfig:
+    name: str = option(MISSING, "the algorithm")
+    eta: float = option(0.5, "scale of the intrinsic reward", low=0)
+    reward_scale: str = option(
+        "none",
+        "none: clip(eta * signal, 0, 1); running_std: eta * signal over its return's deviation",
+        choices=("none", "running_std"),
+    )
+    learning_rate: float = option(1e-4, "Adam's, of the motivation module", above=0, high=1)
+    minibatch_size: int = option(512, "rows per step of the motivation module", low=2)
+    shuffle: bool = option(False, "shuffle the motivation module's minibatches")
+    preprocess: str = option(
+        "none", "frames before the module", choices=("none", "mean", "standardize")
+    )
+    activation: str = option(
+        "elu",
+        "of the module; published: what each method's experiments ran, mostly ReLU convolutions",
+        choices=("elu", "relu", "published"),
+    )
+    pairing: str = option(
+        "asymmetric",
+        "of target and learned network, where one copies the other (Fig. 5.4)",
+        choices=("asymmetric", "one_linear", "two_linear", "relu"),
+    )
+    gradient: str = option(
+        "symmetric",
+        "of the forward loss into the encoder, with signal prediction: all, not s_t+1's, or none",
+        choices=("symmetric", "detached", "asymmetric"),
+    )
+    objective: str = option("none", "what shapes the encoder (algo=grid)", choices=OBJECTIVES)
+    signal: str = option("distillation", "what is read off it (algo=grid)", choices=SIGNALS)
+    module: str | None = option(None, "a bonus of your own, FILE.py:FUNCTION")
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    learning_rate: float = option(1e-4, "Adam's", above=0, high=1)
+    minibatch_size: int = option(512, "rows per gradient step", low=1)
+    epochs: int = option(4, "passes over a rollout", low=1, high=1000)
+    clip: float = option(0.1, "how far the probability ratio may leave 1", above=0, high=1)
+    gamma_ext: float = option(0.998, "discount of the external reward", low=0, high=1)
+    gamma_int: float = option(0.99, "discount of the intrinsic reward", low=0, high=1)
+    gae_lambda: float = option(0.95, "of the advantage estimate", low=0, high=1)
+    entropy_weight: float = option(0.001, "of the entropy bonus", low=0)
+    value_weight: float = option(0.5, "of the value loss", low=0)
+    max_grad_norm: float = option(0.5, "gradients are clipped to it", above=0)
+    ext_weight: float = option(2.0, "of the external advantage; 0: novelty alone", low=0)
+    int_weight: float = option(1.0, "of the intrinsic advantage", low=0)
+    normalize_advantages: bool = option(False, "to mean 0 and deviation 1 over a rollout")
+    bootstrap_truncated: bool = option(False, "value the last state of an episode cut by a limit")
+    episodic_int: bool = option(True, "intrinsic returns end with the episode")
+    published_mask: bool = option(False, "algo=ppo: the inverted mask of the published baseline")
+
+
+@dataclass(frozen=True)
+class Config:
+    env: EnvConfig = field(default_factory=EnvConfig)
+    algo: AlgoConfig = field(default_factory=AlgoConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    network: str = option(
+        "thesis", "of pixels: the thesis', or one for two cores", choices=("thesis", "small")
+    )
+    seed: int = option(0, "the first seed", low=0, high=2**31 - 1)
+    num_seeds: int = option(1, "agents trained side by side: seed, seed + 1, ...", low=1, high=1024)
+    num_envs: int = option(128, "environments per seed", low=1, high=65536)
+    rollout_length: int = option(128, "steps per iteration and environment", low=1, high=65536)
+    total_steps: int = option(
+        "${env.total_steps}", "agent steps per seed, rounded up to whole iterations", low=1
+    )
+    checkpoint_every: int = option(50, "iterations between checkpoints", low=1)
+    run_dir: str | None = option(None, "where the run goes; default runs/<env>/<algo>/<time>-<id>")
+    resume: str | None = option(
+        None, "a run directory to go on from; auto: run_dir, if there is a run in it"
+    )
+    repeat: str | None = option(None, "the config.yaml of a run, to run it again")
+    tracker: str = option(
+        "none",
+        "who else is told of metrics.jsonl, on this machine (docs/sweeps.md)",
+        choices=("none", "mlflow", "wandb"),
+    )
+    distributed: bool = option(
+        False, "this is one of several processes of a run, one per host (docs/sweeps.md)"
+    )
+    group: str | None = option(None, "what a tracker files the run under; a sweep's directory")
+    on_nan: str = option(
+        "stop",
+        "a number that is not finite stops the run, skips the iteration, or is ignored",
+        choices=("stop", "skip", "ignore"),
+    )
+
+    @property
+    def rows(self) -> int:
+        """Rows that one seed collects in an iteration."""
+        return self.num_envs * self.rollout_length
+
+    @property
+    def seeds(self) -> list[int]:
+        """One per agent."""
+        return [self.seed + i for i in range(self.num_seeds)]
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of the whole run."""
+        return -(-self.total_steps // self.rows)

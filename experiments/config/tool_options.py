@@ -1,0 +1,180 @@
+"""The command lines of the tools: paths, and options as `key=value` or `--key value`."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from ..system.errors import ConfigError, print_error
+from ..system.process import configure_xla
+from .compose import load_config
+from .help import default_of, tool_help
+from .schema import Config
+from .validation import check_range, unknown_name_error
+
+Options = TypeVar("Options")
+TRUST = "the code that the run's configuration names (its algo.module or env.id), if any"
+
+
+def convert_value(name: str, text: str, default: Any) -> Any:
+    """Return the text as a value of the type that the default has.
+
+    Raises:
+      ConfigError: it is no such value.
+    """
+    try:
+        if isinstance(default, bool):
+            return {"true": True, "false": False}[text.lower()]
+        if default is None:
+            return text
+        number = type(default) in (int, float)
+        return type(default)(text.replace("_", "") if number else text)
+    except (ValueError, KeyError):
+        kind = {bool: "true or false", int: "a whole number", float: "a number"}[type(default)]
+        raise ConfigError(f"{name}={text}: must be {kind}") from None
+
+
+def parse_arguments(arguments: Sequence[str], kind: type[Options]) -> tuple[list[Path], Options]:
+    """Return the paths and the options that a command line gives.
+
+    Args:
+      arguments: of the process, without its name.
+      kind: a dataclass whose fields are made by `experiments.config.schema.option`.
+
+    Raises:
+      ConfigError: an option that does not exist, is given twice, or is out of its range.
+
+    >>> from dataclasses import dataclass
+    >>> from experiments.config.schema import option
+    >>> @dataclass(frozen=True)
+    ... class Own:
+    ...     out: str = option("report", "where it goes")
+    ...     live: bool = option(False, "go on")
+    >>> parse_arguments(["runs/", "--out", "there", "--live"], Own)
+    ([PosixPath('runs')], Own(out='there', live=True))
+    """
+    known = {entry.name: entry for entry in fields(kind)}  # type: ignore[arg-type]
+    paths: list[Path] = []
+    given: dict[str, Any] = {}
+    left = list(arguments)
+    while left:
+        argument = left.pop(0)
+        name, equals, text = argument.removeprefix("--").partition("=")
+        dashed = argument.startswith("--")
+        if not dashed and (not equals or "/" in name):
+            paths.append(Path(argument))
+            continue
+        name = name.replace("-", "_")
+        if name not in known:
+            raise unknown_name_error("option", name, known)
+        if name in given:
+            raise ConfigError(f"'{name}' is given twice")
+        default = default_of(known[name])
+        if not equals:
+            if isinstance(default, bool):
+                text = "true"
+            elif left:
+                text = left.pop(0)
+            else:
+                raise ConfigError(f"--{name} needs a value")
+        given[name] = convert_value(name, text, default)
+        check_range(name, given[name], known[name].metadata)
+    return paths, kind(**given)
+
+
+def asks_for_help(arguments: Sequence[str]) -> bool:
+    """Return True if a command line asks for help."""
+    return any(argument in ("-h", "--help", "help") for argument in arguments)
+
+
+def exit_status(body: Callable[[], None]) -> int:
+    """Run the body of a tool, and return its exit status; an error is one line on stderr."""
+    configure_xla()
+    try:
+        body()
+    except (ConfigError, OSError) as error:
+        return print_error(error)
+    except KeyboardInterrupt:
+        return print_error("interrupted", 130)
+    return 0
+
+
+def run_command(
+    about: str | None,
+    kind: type[Options],
+    body: Callable[[list[Path], Options], None],
+    arguments: Sequence[str],
+    paths: Literal["needed", "optional", "none"] = "needed",
+) -> int:
+    """Run a tool that takes paths and options of its own, and return the exit status.
+
+    Args:
+      about: the docstring of the tool, for `--help`.
+      kind: the dataclass of its options.
+      body: what the tool does with the paths and the options; a ConfigError or an OSError that it
+        raises is printed in one line.
+      arguments: of the process.
+      paths: "needed": without arguments the tool has nothing to do, and prints its help; "none":
+        paths are refused.
+    """
+    if asks_for_help(arguments) or (paths == "needed" and not arguments):
+        print(tool_help(str(about), kind))
+        return 0 if arguments else 2
+
+    def parsed_body() -> None:
+        given, options = parse_arguments(arguments, kind)
+        if given and paths == "none":
+            raise ConfigError(f"'{given[0]}': write key=value")
+        body(given, options)
+
+    return exit_status(parsed_body)
+
+
+def run_config_command(
+    about: str | None,
+    kind: type[Options],
+    body: Callable[[Config, Options], None],
+    arguments: Sequence[str],
+    preset: Sequence[str] = (),
+) -> int:
+    """Run a tool that takes the options of `sndjax run` and some of its own.
+
+    Args:
+      about: the docstring of the tool, for `--help`.
+      kind: the dataclass of its own options.
+      body: what the tool does with the configuration and its own options.
+      arguments: of the process.
+      preset: options of `sndjax run` that the tool gives itself, such as "algo=ppo".
+
+    Returns:
+      The exit status.
+    """
+    if asks_for_help(arguments) or not arguments:
+        print(tool_help(str(about), kind, takes_run_options=True))
+        return 0 if arguments else 2
+
+    def parsed_body() -> None:
+        own, others = split_arguments(arguments, kind)
+        options = parse_arguments(own, kind)[1]
+        body(load_config([*preset, *others]), options)
+
+    return exit_status(parsed_body)
+
+
+def split_arguments(arguments: Sequence[str], kind: Any) -> tuple[list[str], list[str]]:
+    """Return the arguments that are options of `kind`, and the others."""
+    names = {entry.name for entry in fields(kind)}
+    named = lambda argument: argument.removeprefix("--").partition("=")[0].replace("-", "_")
+    own = [argument for argument in arguments if named(argument) in names]
+    return own, [argument for argument in arguments if argument not in own]
+
+
+def single_run(paths: list[Path]) -> Path:
+    """Return the one run directory.
+
+    Raises:
+      ConfigError: there is none, or there are more.
+    """
+    if len(paths) != 1:
+        raise ConfigError("give one run directory")
+    return paths[0]

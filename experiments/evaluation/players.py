@@ -1,0 +1,216 @@
+"""A trained agent, read back from its run and let play without training."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sndjax
+from sndjax import TrainState
+from sndjax.acting import forward, scale_vectors
+from sndjax.rollout import stack_to_channels
+
+from ..config.saved import CONFIG, check_code, read_saved
+from ..config.schema import Config
+from ..config.validation import validate_config
+from ..environments.pools import EnvpoolPool, env_seeds, make_pool
+from ..storage.checkpoints import CheckpointError, Checkpoints
+from ..system.errors import ConfigError
+from ..training.experiment import build_experiment
+from ..training.snapshots import to_rgb
+
+CHUNK = 256
+
+
+class Player(NamedTuple):
+    """An agent with the state of one seed."""
+
+    config: Config
+    agent: sndjax.AgentSpec
+    state: TrainState
+    seed: int
+    iteration: int  # of the checkpoint
+
+
+class PlayedEpisode(NamedTuple):
+    """One played episode, L transitions."""
+
+    frames: np.ndarray  # [L + 1, *frame], as the module sees them
+    action: np.ndarray  # int32[L], the policy's
+    executed: np.ndarray  # int32[L], what the environment was given
+    value: np.ndarray  # float32[L, K]
+    reward: np.ndarray  # float32[L], the training reward
+    score: np.ndarray  # float32[L]
+    room: np.ndarray  # uint8[L], in Montezuma's Revenge, else zeros
+    stream: int  # the seed of its environment
+
+
+def find_state(run: Path, like: Any) -> tuple[int, TrainState]:
+    """The newest whole checkpoint of a run: its iteration and the states of all seeds.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    checkpoints = Checkpoints(run)
+    try:
+        step, _, said = checkpoints.find(lambda manifest: None)
+        if step is None:
+            raise ConfigError(f"{run}: there is no checkpoint")
+        for line in said:
+            print(f"{run}: {line}")
+        return step, checkpoints.load(step, like)
+    except CheckpointError as error:
+        raise ConfigError(f"{run}: no checkpoint can be used: {error}") from None
+
+
+def load_players(run: Path, trust: str | None = None) -> list[Player]:
+    """The agents of a run, one a seed.
+
+    Args:
+      run: its directory.
+      trust: the code that the run's stored configuration may name, if it names some: the value
+        of its `algo.module` or `env.id`, repeated.
+
+    Raises:
+      ConfigError: there is no run, it names code, or no checkpoint of it can be used.
+    """
+    if not (run / CONFIG).is_file():
+        raise ConfigError(f"{run}: there is no run (no {CONFIG})")
+    config = validate_config(read_saved(run / CONFIG).config)
+    named: dict[str, Any] = {"algo.module": config.algo.module, "env.id": config.env.id}
+    check_code(config, {k: v for k, v in named.items() if v == trust is not None}, str(run))
+    experiment = build_experiment(config, probe=True)
+    iteration, states = find_state(run, experiment.state_shapes())
+    own = lambda i: jax.tree.map(lambda x: jnp.asarray(x[i]), states)
+    return [
+        Player(config, experiment.agent, own(i), seed, iteration)
+        for i, seed in enumerate(config.seeds)
+    ]
+
+
+def make_choose(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
+    """A jitted step: (window, frame, first, step) -> (action, executed, value, window)."""
+    agent, state = player.agent, player.state
+    key = jax.random.fold_in(state.key, seed)
+    actor = sndjax.Actor(state.policy, state.observations, key)
+
+    @jax.jit
+    def choose(
+        window: jax.Array, frame: jax.Array, first: jax.Array, step: jax.Array
+    ) -> tuple[jax.Array, ...]:
+        output, window = sndjax.act(agent, actor, window, frame, first, step)
+        action, executed = output.action, output.executed
+        if greedy:  # the environment's own random actions stay
+            seen = scale_vectors(window, actor.observations, agent.unbounded)
+            logits, _ = forward(agent.network, actor.policy, stack_to_channels(seen))
+            likeliest = jnp.argmax(logits, axis=-1)
+            executed = jnp.where(executed == action, likeliest, executed)
+            action = likeliest
+        return action, executed, output.value, window
+
+    return choose
+
+
+def play_episodes(
+    player: Player,
+    episodes: int,
+    greedy: bool = False,
+    seed: int = 0,
+    keep: bool = True,
+    report: Callable[[int, int], None] = lambda steps, ended: None,
+) -> list[PlayedEpisode]:
+    """Whole episodes, one in each environment: short ones are not counted more often.
+
+    Args:
+      player: who plays.
+      episodes: how many, side by side.
+      greedy: take the likeliest action instead of drawing one.
+      seed: of the environments and of the draws.
+      keep: keep the frames; else there is only the first.
+      report: called with the steps taken and the number of episodes that have ended.
+    """
+    env, stack = player.config.env, player.config.env.stack
+    pool = make_pool(env, [seed], episodes)
+    choose = make_choose(player, greedy, seed)
+    frame, first = pool.reset()[0], np.ones(episodes, bool)
+    window: Any = np.zeros((stack, episodes, *pool.shape), pool.dtype)
+    alive = np.ones(episodes, bool)
+    frames: list[list[np.ndarray]] = [[one] for one in frame.copy()]
+    rows: list[list[tuple[Any, ...]]] = [[] for _ in range(episodes)]
+    t = 0
+    while alive.any():
+        decided = choose(window, frame, first, np.int32(t))
+        window, (action, executed, value) = decided[-1], map(np.asarray, decided[:-1])
+        step = pool.step(executed[None])
+        room = np.zeros(alive.shape, np.uint8) if step.room is None else step.room[0]
+        columns = (action, executed, value, step.reward[0], step.score[0], room)
+        for n in np.nonzero(alive)[0].tolist():
+            rows[n].append(tuple(column[n] for column in columns))
+            if keep:
+                frames[n].append(step.frame[0, n].copy())
+        alive &= ~step.done[0]
+        frame, first = step.frame[0], ~step.valid[0]
+        t += 1
+        report(t, episodes - int(alive.sum()))
+    pool.close()
+    found = []
+    for n, stream in enumerate(env_seeds(seed, episodes, 0)):
+        taken: Any = [np.array(column) for column in zip(*rows[n], strict=True)]
+        found.append(PlayedEpisode._make([np.stack(frames[n]), *taken, stream]))
+    return found
+
+
+def render_episode(player: Player, episode: PlayedEpisode) -> Iterator[np.ndarray]:
+    """What envpool draws of every state of an episode, uint8[H, W, 3]: it is played again.
+
+    Raises:
+      ConfigError: the task is not envpool's and has no images, or went otherwise this time.
+    """
+    env = player.config.env
+    if env.suite != "envpool":
+        if episode.frames.dtype != np.uint8:
+            raise ConfigError(f"{env.id}: of gymnasium's tasks only those with images can be drawn")
+        yield from map(to_rgb, episode.frames)
+        return
+    drawn = replace(env, options={**env.options, "render_mode": "rgb_array"})
+    pool = EnvpoolPool(drawn, [[episode.stream]])
+    frame = pool.reset()[0, 0]
+    for t in range(len(episode.frames)):
+        if not np.array_equal(frame, episode.frames[t]):
+            raise ConfigError(f"{env.id} went otherwise when it was played again, at step {t}")
+        yield np.asarray(pool.envs.render(env_ids=np.zeros(1, int)))[0]
+        if t < len(episode.executed):
+            frame = pool.step(episode.executed[None, t : t + 1]).frame[0, 0]
+    pool.close()
+
+
+def episode_novelty(player: Player, episode: PlayedEpisode) -> np.ndarray:
+    """The unscaled signal of every transition, float32[L], with the weights of the checkpoint.
+
+    Zeros of the baseline. Episodic signals begin without memories.
+    """
+    intrinsic, length = player.agent.intrinsic, len(episode.action)
+    if intrinsic is None:
+        return np.zeros(length, np.float32)
+    module = intrinsic.module
+    short = -length % CHUNK  # the rewards are read in pieces of that many frames
+    column = lambda x, fill: jnp.pad(jnp.asarray(x), (0, short), constant_values=fill)[:, None]
+    frames = np.concatenate([episode.frames, episode.frames[-1:].repeat(short, 0)])[:, None]
+    seen = scale_vectors(jnp.asarray(frames), player.state.observations, player.agent.unbounded)
+    steps = np.arange(length)
+    rollout = sndjax.Rollout(
+        seen,
+        column(episode.action, 0),
+        column(steps == 0, False),
+        column(steps == length - 1, False),
+        column(np.ones(length, bool), False),
+    )
+    _, fresh = jax.eval_shape(module.init, jax.random.key(0), seen[0])
+    blank = lambda kept, new: kept if kept.shape == new.shape else jnp.zeros(new.shape, new.dtype)
+    state = jax.tree.map(blank, player.state.intrinsic_state, fresh)
+    value, _ = jax.jit(module.reward)(player.state.intrinsic, state, rollout, jax.random.key(0))
+    return np.asarray(value)[:length, 0]

@@ -1,0 +1,53 @@
+"""Run another project's RND on our task: sndjax external SCRIPT.py peer=cleanrl seed=0
+
+Runs a training script of theirs, read from a file, on MountainCar with reward only at the goal,
+as our pools make it. Its training code runs unchanged; what stands in for Atari is ours: the
+environments, the networks (for vectors, 64 wide), the size of a frame, the log. Of its settings
+num_envs is 32, as ours, and CleanRL initialises its normalisation for one rollout, not for 50;
+settings= says others. Leaves OUT/<peer>-<seed>.json (with settings in its name, if there are any),
+for `sndjax seed_table`; episodes of the random warm-up that the scripts begin with are left out.
+
+    peer=cleanrl      CleanRL's ppo_rnd_envpool.py (needs torch, tyro, gym)
+    peer=rlexplore    RLeXplore's "3 rlexplore_with_cleanrl.py", its RND in place of its RE3
+                      (needs torch, tyro, rllte-core)
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from .config.schema import option
+from .config.tool_options import run_command
+from .system.errors import ConfigError
+from .system.process import run_script
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command."""
+
+    peer: str = option("cleanrl", "whose script it is", choices=("cleanrl", "rlexplore"))
+    seed: int = option(0, "of the script and of the environments", low=0)
+    steps: int = option(1_003_520, "that the script trains for, rounded down to rollouts", low=1)
+    settings: str = option(
+        "", "options of the script, with commas: learning_rate=5e-4,norm_adv=false; rnd.beta=0.1"
+    )
+    out: str = option("runs/peers", "where the run's figures go")
+
+
+def external(paths: list[Path], options: Options) -> None:
+    """Run the script, and write its figures."""
+    if len(paths) != 1:
+        raise ConfigError("give one script")
+    from .benchmarks.external.run_script import run_peer
+
+    out = Path(options.out)
+    run_peer(paths[0], options.peer, options.seed, options.steps, options.settings, out)
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command, and return its exit status."""
+    return run_command(__doc__, Options, external, arguments)
+
+
+if __name__ == "__main__":
+    run_script(main)

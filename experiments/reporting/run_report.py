@@ -1,0 +1,101 @@
+"""One page of any runs: learning curves, the thesis' tables, statistics over seeds."""
+
+import time
+from pathlib import Path
+
+from ..storage.read_runs import RunData, RunGroup, find_runs, group_runs
+from ..system.display import ProgressBars
+from ..system.errors import ConfigError
+from ..system.files import safe_file_name
+from .html_page import Section, Table, write_page
+from .learning_curves import QUANTITIES, draw_curves
+from .thesis_tables import TABLES, improvement_table, seeds_table, thesis_table
+
+REFRESH_SECONDS = 30  # between two versions of a live page
+BESIDE_THE_THESIS = (
+    "Ours is over the runs given, of as many seeds and steps as stand beside it; the thesis' after "
+    "128 million steps (Atari) or 64 million (Procgen). ± is the standard deviation over runs. "
+    "What was not run is empty."
+)
+
+
+def environment_section(env: str, groups: list[RunGroup], out: Path) -> Section:
+    """Draw the curves of one environment.
+
+    Args:
+      env: its name.
+      groups: the runs on it.
+      out: where the pictures go.
+    """
+    seeds = [seed for group in groups for seed in group.seeds]
+    scored = any((seed.episodes["score"] != seed.episodes["ext_return"]).any() for seed in seeds)
+    pictures = []
+    for quantity in ("return", *(["score"] if scored else []), "intrinsic", "rooms"):
+        name = f"{safe_file_name(env)}-{quantity}"
+        picture = draw_curves(groups, quantity, env, out, name)
+        if picture is not None:
+            pictures.append((picture, f"{env}: {QUANTITIES[quantity].axis}"))
+    return Section(env, pictures=pictures)
+
+
+def runs_section(runs: list[RunData]) -> Section:
+    """Make the table of the runs that were read."""
+    head = ["run", "environment", "algorithm", "seeds", "steps per seed", "finished"]
+    rows = []
+    for run in runs:
+        config = run.config
+        whole = run.steps >= config.iterations * config.rows
+        name = [str(run.path), config.env.name, config.algo.name]
+        rows.append([*name, len(run.seeds), f"{run.steps:,}", "yes" if whole else "no"])
+    return Section("Runs", tables=[Table(head, rows, name="runs")])
+
+
+def report_sections(
+    runs: list[RunData], left_out: list[tuple[Path, str]], out: Path
+) -> list[Section]:
+    """Make the sections of the page.
+
+    Args:
+      runs: what could be read.
+      left_out: what could not, with the reason.
+      out: where the pictures go.
+    """
+    groups = group_runs(runs)
+    envs = list(dict.fromkeys(group.env for group in groups))
+    with ProgressBars() as bars:
+        own = lambda env: [group for group in groups if group.env == env]
+        curves = [environment_section(env, own(env), out) for env in bars.track("drawing", envs)]
+    beside = [thesis_table(table, groups) for table in TABLES]
+    sections = [
+        *curves,
+        Section("Beside the thesis", BESIDE_THE_THESIS, tables=beside),
+        Section("Over seeds", tables=[seeds_table(groups), improvement_table(groups)]),
+        runs_section(runs),
+    ]
+    if left_out:
+        sections.append(Section("Left out", tables=[Table(["directory", "why"], left_out)]))
+    return sections
+
+
+def write_report(paths: list[Path], out: Path, live: bool = False) -> None:
+    """Write the page of all runs in these directories as of now.
+
+    Args:
+      paths: directories with runs in or below them.
+      out: where the page goes, `index.html`, with its pictures and tables beside it.
+      live: let a browser load the page again every half minute.
+
+    Raises:
+      ConfigError: there is nothing to report.
+    """
+    runs, left_out = find_runs(paths)
+    for path, reason in left_out:
+        print(f"left out: {path}: {reason}")
+    if not runs:
+        raise ConfigError(f"nothing to report in {', '.join(map(str, paths))}")
+    lead = f"{time.strftime('%Y-%m-%d %H:%M')}. A step is one agent step of one environment; an "
+    lead += "Atari step is four emulator frames."
+    page = out / "index.html"
+    sections = report_sections(runs, left_out, out)
+    write_page(page, "sndjax report", lead, sections, REFRESH_SECONDS if live else 0)
+    print(f"page: {page.resolve()}", flush=True)

@@ -1,0 +1,175 @@
+"""The table of a sweep: every seed's last return, their mean with its interval, and a picture."""
+
+import json
+from math import isfinite, nan
+from pathlib import Path
+from statistics import mean, median
+from textwrap import fill
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..config.saved import CONFIG, read_saved
+from ..config.schema import Config
+from ..storage.read_runs import read_summary
+from ..system.errors import ConfigError
+from ..system.files import write_atomically
+from .plot_style import line_style, make_panels, save_figure
+from .seed_statistics import bootstrap_interval
+
+WIDE = 44  # characters of a row's name beside its dots
+CELL = ("algo.objective=", "algo.signal=")
+Summaries = dict[str, dict[str, Any]]  # a seed's part of summary.json, by the name of its run
+
+
+class Row(NamedTuple):
+    """One algorithm with one set of settings on one environment."""
+
+    env: str
+    name: str
+    seeds: dict[int, dict[str, Any]]
+
+    def last(self) -> list[float]:
+        """In order of the seeds, the return of the last 100 episodes; NaN where none ended."""
+        found = [self.seeds[seed]["last100_ext_return"] for seed in sorted(self.seeds)]
+        return [nan if value is None else value for value in found]
+
+
+def mean_with_interval(values: list[float]) -> str:
+    """Their mean and the 95% bootstrap interval of it; of those that are there.
+
+    >>> mean_with_interval([1.0, 1.0, nan]), mean_with_interval([0.5]), mean_with_interval([nan])
+    ('1.00 [1.00, 1.00]', '0.50', '-')
+    """
+    there = np.array([value for value in values if isfinite(value)])
+    if not len(there):
+        return "-"
+    found = bootstrap_interval(there)
+    return f"{there.mean():.2f}" + (f" [{found[0]:.2f}, {found[1]:.2f}]" if found else "")
+
+
+def read_summaries(path: Path) -> Any:
+    """What a file of JSON holds.
+
+    Raises:
+      ConfigError: it holds none.
+    """
+    try:
+        return json.loads(path.read_text())
+    except ValueError:
+        raise ConfigError(f"{path} holds no JSON") from None
+
+
+def load_summaries(places: list[Path]) -> tuple[Summaries, list[str]]:
+    """The summaries of all finished runs, and the names of those that are not."""
+    found: Summaries = {}
+    unfinished = []
+
+    def add(of: Path, more: Summaries) -> None:
+        for name in more:
+            if name in found:
+                raise ConfigError(f"{of} is a second run called {name}")
+        found.update(more)
+
+    for place in places:
+        if place.suffix == ".json":
+            add(place, read_summaries(place))
+            continue
+        for path in sorted(place.rglob(CONFIG)):
+            config, run = read_saved(path).config, path.parent
+            seeds = read_summary(run)
+            if seeds and seeds[0]["steps"] >= config.total_steps:
+                add(run, {row_name(config, run.name, seed["seed"]): seed for seed in seeds})
+            else:
+                unfinished.append(str(run))
+    return found, unfinished
+
+
+def row_name(config: Config, directory: str, seed: int) -> str:
+    """<env>/<algo>/<seed>, and after it what else a sweep gave several values.
+
+    A cell of the grid is called by its objective and its signal, "vicreg+noveld".
+    """
+    algo = config.algo
+    name = algo.name if algo.name != "grid" else f"{algo.objective}+{algo.signal}"
+    swept = [s for s in directory.split(",")[1:] if not s.startswith(CELL)]
+    return "/".join([config.env.name, name, ",".join([str(seed), *swept])])
+
+
+def table_rows(summaries: Summaries) -> list[Row]:
+    """Seeds of the same settings together, in order of their names."""
+    found: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
+    for name, summary in summaries.items():
+        env, algo, last = name.rsplit("/", 2)
+        settings = last.partition(",")[2].replace("algo.", "").replace(",", " ")
+        key = env, f"{algo} {settings}".strip()
+        found.setdefault(key, {})[summary["seed"]] = summary
+    return [Row(env, name, seeds) for (env, name), seeds in found.items()]
+
+
+def markdown_table(summaries: Summaries, goal: float) -> list[str]:
+    """The lines of the Markdown table.
+
+    >>> run = {"seed": 0, "last100_ext_return": 1.0, "mean_ext_return": 0.5, "wall_seconds": 9.4}
+    >>> print("\\n".join(markdown_table({"Car/rnd/0": run}, 0.9)))
+    | Car | seed 0 | mean [95%] | at least 0.9 | mean of all episodes | median s |
+    |---|---|---|---|---|---|
+    | `rnd` | 1.00 | 1.00 | 1 of 1 | 0.50 | 9 |
+    """
+    lines: list[str] = []
+    shown = None
+    for row in table_rows(summaries):
+        seeds = sorted(row.seeds)
+        if (row.env, seeds) != shown:
+            shown = row.env, seeds
+            numbers = [f"seed {seeds[0]}", *map(str, seeds[1:])]
+            head = [row.env, *numbers, "mean [95%]", f"at least {goal:g}"]
+            head += ["mean of all episodes", "median s"]
+            lines += [""] * bool(lines) + [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+        last, of = row.last(), list(row.seeds.values())
+        cells = [
+            f"`{row.name}`",
+            *(f"{value:.2f}".replace("nan", "-") for value in last),
+            mean_with_interval(last),
+            f"{sum(value >= goal for value in last)} of {len(last)}",
+            f"{mean(seed['mean_ext_return'] or 0.0 for seed in of):.2f}",
+            f"{median(seed['wall_seconds'] for seed in of):.0f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def draw_seeds(summaries: Summaries, goal: float, path: Path) -> None:
+    """A dot for every seed, a bar for their mean and a line for its 95% bootstrap interval.
+
+    Every environment has a panel of its own.
+    """
+    found = table_rows(summaries)
+    envs = list(dict.fromkeys(row.env for row in found))
+    label = lambda row: fill(row.name, WIDE, break_long_words=False)
+    tall = lambda env: sum(1 + label(row).count("\n") for row in found if row.env == env)
+    most = max(map(tall, envs))
+    figure, ((*grid,),) = make_panels(1, len(envs), 1.5 + 4.2 * len(envs), 1.3 + 0.3 * most)
+    for axes, env in zip(grid, envs, strict=True):
+        own = [row for row in found if row.env == env][::-1]
+        for at, row in enumerate(own):
+            colour, last = line_style(row.name.split()[0])["color"], row.last()
+            there = [value for value in last if isfinite(value)]
+            axes.barh(at, mean(there or [0.0]), color=colour, alpha=0.25, height=0.7)
+            if len(there) > 1:
+                axes.plot(
+                    bootstrap_interval(np.array(there)), [at, at], color="#4D4D4D", linewidth=1.2
+                )
+            axes.plot(last, [at] * len(last), "o", color=colour, markersize=5, alpha=0.8)
+        axes.axvline(goal, color="#7F7F7F", linewidth=0.8, linestyle=":")
+        axes.set_yticks(range(len(own)), [label(row) for row in own], fontsize=9)
+        axes.set_xlim(left=-0.02 * max(1.0, axes.get_xlim()[1]))
+        axes.set_xlabel("external return, last 100 episodes")
+        axes.set_title(env, fontsize=10)
+    save_figure(figure, path.parent, path.name, vector=False)
+
+
+def write_summaries(summaries: Summaries, path: Path) -> None:
+    """One run a line, so that a new one is one line of difference."""
+    lines = [f" {json.dumps(name)}: {json.dumps(run)}" for name, run in summaries.items()]
+    write_atomically(path, "{\n" + ",\n".join(lines) + "\n}\n")

@@ -1,0 +1,145 @@
+"""The thesis' tables with our numbers beside its own, and what SciPy says of the seeds."""
+
+import csv
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..storage.read_runs import RunGroup, SeedData
+from .html_page import Table
+from .plot_style import display_title
+from .seed_statistics import bootstrap_interval, interquartile_mean, mean_improvement
+
+THESIS = Path(__file__).parent / "data" / "thesis.csv"
+TABLES = {
+    "5.6": "external return per episode, mean over all training episodes, SND",
+    "5.7": "best episode's game score, Atari",
+    "5.8": "external return per episode, mean over all training episodes, ICM and SP",
+}
+
+
+class Published(NamedTuple):
+    """A number of the thesis; the deviation is over its runs, NaN where it gives none."""
+
+    value: float
+    std: float
+
+
+def thesis_numbers(table: str) -> dict[tuple[str, str, str], Published]:
+    """The numbers of one table by environment, algorithm and quantity.
+
+    >>> thesis_numbers("5.6")["Climber", "snd_vic", "mean_episode_reward"]
+    Published(value=6.62, std=3.24)
+    """
+    with THESIS.open(newline="") as file:
+        return {
+            (row["env"], row["algo"], row["quantity"]): Published(
+                float(row["value"]), float(row["std"] or "nan")
+            )
+            for row in csv.DictReader(file)
+            if row["table"] == table
+        }
+
+
+def mean_return(seed: SeedData) -> float:
+    """The mean external return of all training episodes; NaN before the first ends."""
+    returns = seed.episodes["ext_return"]
+    return float(returns.mean()) if len(returns) else float("nan")
+
+
+def best_score(seed: SeedData) -> float:
+    """The best episode's game score; NaN before the first ends."""
+    scores = seed.episodes["score"]
+    return float(scores.max()) if len(scores) else float("nan")
+
+
+def mean_and_std(values: list[float]) -> str:
+    """Mean and population deviation of what is there, or nothing.
+
+    >>> mean_and_std([1.0, 3.0]), mean_and_std([float("nan")])
+    ('2.00 ± 1.00', '')
+    """
+    there = np.array([value for value in values if np.isfinite(value)])
+    return f"{there.mean():.2f} ± {there.std():.2f}" if len(there) else ""
+
+
+def format_steps(group: RunGroup) -> str:
+    """The steps of its seeds, from the fewest to the most, in millions."""
+    least, most = (f"{steps / 1e6:.3g}" for steps in group.steps)
+    return least if least == most else f"{least} to {most}"
+
+
+def format_published(number: Published) -> str:
+    """A number of the thesis as it prints it."""
+    deviation = "" if np.isnan(number.std) else f" ± {number.std:.10g}"
+    return f"{number.value:.10g}{deviation}"
+
+
+def thesis_table(table: str, groups: list[RunGroup]) -> Table:
+    """One of `TABLES`: every number of the thesis, and ours where there is one."""
+    of = best_score if table == "5.7" else mean_return
+    rows = []
+    known = thesis_numbers(table)
+    for (env, algo, _), number in known.items():
+        ours: list[RunGroup | None] = [g for g in groups if (g.env, g.algo) == (env, algo)]
+        for group in ours or [None]:
+            cells = ["", "", ""]
+            if group is not None:
+                found = [value for value in map(of, group.seeds) if np.isfinite(value)]
+                cells = [mean_and_std(found), str(len(found)), format_steps(group)]
+            name = algo if group is None else group.name
+            rows.append([env, display_title(algo, name), *cells, format_published(number)])
+    head = ["environment", "algorithm", "ours", "seeds", "steps, millions", "thesis"]
+    return Table(head, rows, f"Table {table}: {TABLES[table]}", f"table-{table}")
+
+
+def seeds_table(groups: list[RunGroup]) -> Table:
+    """Every group's interquartile mean over seeds, with its interval, and its last episodes."""
+    rows = []
+    for group in groups:
+        found = np.array([mean_return(seed) for seed in group.seeds])
+        found = found[np.isfinite(found)]
+        last = [
+            float(np.mean(s.episodes["ext_return"][-100:]))
+            for s in group.seeds
+            if len(s.episodes["ext_return"])
+        ]
+        band = bootstrap_interval(found, interquartile_mean)
+        rows.append(
+            [
+                group.env,
+                display_title(group.algo, group.name),
+                str(len(found)),
+                f"{interquartile_mean(found):.3g}" if len(found) else "",
+                "" if band is None else f"{band[0]:.3g} to {band[1]:.3g}",
+                mean_and_std(last),
+            ]
+        )
+    head = ["environment", "algorithm", "seeds", "interquartile mean", "95% interval", "last 100"]
+    caption = "External return per episode over seeds; the last column is of each seed's end"
+    return Table(head, rows, caption, "seeds")
+
+
+def improvement_table(groups: list[RunGroup]) -> Table:
+    """The probability that a run of the row's algorithm beats one of the column's.
+
+    Mean over the environments that both have; empty where there is none.
+    """
+    returns: dict[str, dict[str, np.ndarray]] = {}
+    for group in groups:
+        found = np.array([mean_return(seed) for seed in group.seeds])
+        returns.setdefault(group.name, {})[group.env] = found[np.isfinite(found)]
+    rows = []
+    for ours, own in returns.items():
+        cells = []
+        for theirs, other in returns.items():
+            shared = [e for e in own if e in other and len(own[e]) and len(other[e])]
+            if ours == theirs or not shared:
+                cells.append("")
+                continue
+            value, band = mean_improvement([(own[e], other[e]) for e in shared])
+            cells.append(f"{value:.2f}" + (f" ({band[0]:.2f} to {band[1]:.2f})" if band else ""))
+        rows.append([ours, *cells])
+    caption = "Probability of improvement: a run of the row beats one of the column (95% interval)"
+    return Table(["", *returns], rows, caption, "improvement")

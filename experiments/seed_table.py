@@ -1,0 +1,50 @@
+"""Print the table of a sweep: sndjax seed_table DIR --out docs/results/explores/NAME
+
+Takes every run in these directories, or a NAME.json that it wrote before, and prints a Markdown
+table: of each seed the external return of its last 100 episodes, their mean with its 95% bootstrap
+interval, how many seeds reach the goal, the mean over all episodes, the seconds of training.
+Writes NAME.json, the runs' summaries, and NAME.png, a dot for every seed.
+"""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from .config.schema import option
+from .config.tool_options import run_command
+from .system.errors import ConfigError
+from .system.process import run_script
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command."""
+
+    out: str | None = option(None, "where NAME.json and NAME.png go, without their endings")
+    goal: float = option(0.9, "a seed reaches the goal with this return of its last 100 episodes")
+
+
+def print_table(paths: list[Path], options: Options) -> None:
+    """Print the table, and write what was asked for."""
+    from .reporting.seed_table import draw_seeds, load_summaries, markdown_table, write_summaries
+
+    summaries, unfinished = load_summaries(paths)
+    for name in unfinished:
+        print(f"not finished: {name}", file=sys.stderr)
+    if not summaries:
+        raise ConfigError(f"no finished run in {', '.join(map(str, paths))}")
+    print("\n".join(markdown_table(summaries, options.goal)))
+    if options.out is not None:
+        path = Path(options.out)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_summaries(summaries, path.with_name(f"{path.name}.json"))
+        draw_seeds(summaries, options.goal, path)
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command, and return its exit status."""
+    return run_command(__doc__, Options, print_table, arguments)
+
+
+if __name__ == "__main__":
+    run_script(main)

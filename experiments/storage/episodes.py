@@ -1,0 +1,107 @@
+"""Episodes as they end: their lengths, returns and rooms, and a seed's summary of them."""
+
+from collections import deque
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Episode(NamedTuple):
+    """One finished episode, a line of `episodes.csv`."""
+
+    seed: int
+    step: int  # rows that the seed had collected when it ended
+    length: int  # transitions
+    ext_return: float  # summed training reward
+    score: float  # summed game score
+    int_return: float  # summed intrinsic reward
+    rooms: int | None = None  # distinct rooms seen, in Montezuma's Revenge
+
+
+class EpisodeTracker:
+    """The running sums of every environment's current episode."""
+
+    def __init__(self, seeds: list[int], num_envs: int, rooms: bool):
+        self.seeds = seeds
+        shape = (len(seeds), num_envs)
+        self.length = np.zeros(shape, np.int64)
+        self.sums = np.zeros((3, *shape))  # float64: external, score, intrinsic
+        self.rooms = np.zeros((*shape, 256), bool) if rooms else None
+
+    def update(
+        self,
+        start: int,
+        valid: Any,
+        done: Any,
+        rewards: tuple[Any, Any, Any],
+        room: np.ndarray | None,
+    ) -> list[list[Episode]]:
+        """The episodes that ended in a rollout, a list per seed in order of time.
+
+        Args:
+          start: rows that each seed had collected before.
+          valid, done: bool [S, T, N].
+          rewards: external, score and intrinsic, [S, T, N]; reset rows count for nothing.
+          room: uint8 [S, T, N] or None.
+        """
+        ended: list[list[Episode]] = [[] for _ in self.seeds]
+        _, steps, envs = valid.shape
+        stacked = np.where(valid, np.stack(rewards).astype(np.float64), 0)
+        for t in range(steps):
+            self.length += valid[:, t]
+            self.sums += stacked[:, :, t]
+            if self.rooms is not None and room is not None:
+                s, n = np.nonzero(valid[:, t])
+                self.rooms[s, n, room[s, t, n]] = True
+            for s, n in zip(*np.nonzero(done[:, t] & valid[:, t]), strict=True):
+                external, score, intrinsic = (float(x) for x in self.sums[:, s, n])
+                count = None if self.rooms is None else int(self.rooms[s, n].sum())
+                ended[s].append(
+                    Episode(
+                        self.seeds[s],
+                        start + (t + 1) * envs,
+                        int(self.length[s, n]),
+                        external,
+                        score,
+                        intrinsic,
+                        count,
+                    )
+                )
+                self.length[s, n] = 0
+                self.sums[:, s, n] = 0
+                if self.rooms is not None:
+                    self.rooms[s, n] = False
+        return ended
+
+
+class EpisodeSummary:
+    """Statistics over all training episodes of one seed (Tables 5.6-5.8)."""
+
+    def __init__(self) -> None:
+        self.episodes = 0
+        self.total = 0.0
+        self.best = -np.inf
+        self.score = -np.inf
+        self.last: deque[float] = deque(maxlen=100)
+
+    def add(self, episode: Episode) -> None:
+        self.episodes += 1
+        self.total += episode.ext_return
+        self.best = max(self.best, episode.ext_return)
+        self.score = max(self.score, episode.score)
+        self.last.append(episode.ext_return)
+
+    @property
+    def last100(self) -> float | None:
+        return float(np.mean(self.last)) if self.last else None
+
+    def figures(self) -> dict[str, float | int | None]:
+        """`mean_ext_return` over all episodes, the best of each, the last hundred's mean."""
+        some = self.episodes > 0
+        return {
+            "episodes": self.episodes,
+            "mean_ext_return": self.total / self.episodes if some else None,
+            "max_ext_return": self.best if some else None,
+            "max_score": self.score if some else None,
+            "last100_ext_return": self.last100,
+        }

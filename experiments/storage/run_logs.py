@@ -1,0 +1,166 @@
+"""What a run leaves: metrics.jsonl, episodes.csv, summary.json and TensorBoard events."""
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..system.files import write_atomically
+from .append_log import AppendLog, LogMark, read_until_mark
+from .episodes import Episode, EpisodeSummary
+from .tensorboard import TensorBoardWriter
+
+COLUMNS = [name for name in Episode._fields if name != "rooms"]
+LOGS = ("metrics.jsonl", "episodes.csv")
+
+
+def check_logs(path: Path, seeds: list[int], marks: dict[str, LogMark]) -> None:
+    """Raise ValueError unless the logs begin with what they held when they were marked."""
+    for name in LOGS:
+        read_until_mark(path / name, marks[name])
+    known = {"step": int, "transitions": int, "wall_seconds": float}
+    for line in read_metrics(path, marks[LOGS[0]]["bytes"]):
+        fits = all(isinstance(line.get(key), kind) for key, kind in known.items())
+        if not fits or line.get("seed") not in seeds:
+            raise ValueError(f"{LOGS[0]} holds a line of another run")
+    for episode in read_episodes(path, marks[LOGS[1]]["bytes"]):
+        if episode.seed not in seeds:
+            raise ValueError(f"{LOGS[1]} holds a line of another run")
+
+
+def read_metrics(path: Path, end: int) -> Iterator[dict[str, Any]]:
+    """The lines of metrics.jsonl before a byte, one after another.
+
+    Raises:
+      ValueError: one is none.
+    """
+    with (path / LOGS[0]).open("rb") as file:
+        while file.tell() < end:
+            line = json.loads(file.readline())
+            if not isinstance(line, dict):
+                raise ValueError(f"{LOGS[0]} holds a line that is no object")
+            yield line
+
+
+def read_episodes(path: Path, end: int) -> Iterator[Episode]:
+    """The episodes of episodes.csv before a byte, without their rooms.
+
+    Raises:
+      ValueError: a line is none.
+    """
+    with (path / LOGS[1]).open("rb") as file:
+        file.readline()
+        while file.tell() < end:
+            seed, step, length, *figures = file.readline().decode().split(",")
+            external, score, intrinsic = (float(x) for x in figures[:3])
+            yield Episode(int(seed), int(step), int(length), external, score, intrinsic)
+
+
+class RunLogs:
+    """The log files of a run; opened again, they go on where its checkpoint stands."""
+
+    def __init__(self, path: Path, seeds: list[int], rooms: bool, marks: dict[str, LogMark]):
+        """Open the files.
+
+        Args:
+          path: the run directory.
+          seeds: one per agent.
+          rooms: whether episodes count rooms.
+          marks: where the logs stood at the checkpoint that the run goes on from, if any; what
+            they hold beyond is cut off, because it will be collected again.
+        """
+        self.path, self.seeds = path, seeds
+        self.summaries = [EpisodeSummary() for _ in seeds]
+        self.wall_seconds = 0.0
+        self.transitions = [0 for _ in seeds]
+        self.metrics, self.episodes = (AppendLog(path / name, marks.get(name)) for name in LOGS)
+        self.tensorboard = TensorBoardWriter(path / "tensorboard", seeds)
+        self.columns = COLUMNS + (["rooms"] if rooms else [])
+        if self.episodes.size:
+            self.restore_counts()
+        else:
+            self.write_row(self.columns)
+        self.flush()
+
+    def read_back(self) -> Iterator[dict[str, Any]]:
+        """The lines of metrics.jsonl so far."""
+        return read_metrics(self.path, self.metrics.size)
+
+    def restore_counts(self) -> None:
+        """Count what the logs already hold."""
+        for line in self.read_back():
+            self.wall_seconds = line["wall_seconds"]
+            self.transitions[self.seeds.index(line["seed"])] = line["transitions"]
+        begun = time.time() - self.wall_seconds
+        for line in self.read_back():
+            self.tensorboard.add(line, begun + line["wall_seconds"])
+        for episode in read_episodes(self.path, self.episodes.size):
+            self.summaries[self.seeds.index(episode.seed)].add(episode)
+
+    def write_row(self, cells: Any) -> None:
+        """A line of episodes.csv; no cell needs quotes."""
+        self.episodes.write(",".join(str(cell) for cell in cells) + "\n")
+
+    def log_iteration(self, i: int, ended: list[Episode], entry: dict[str, Any]) -> dict[str, Any]:
+        """Log one iteration of seed number i: its episodes and its line of metrics.
+
+        Returns the line: the entry with the episodes' means and counts.
+        """
+        for episode in ended:
+            self.summaries[i].add(episode)
+            self.write_row(episode[: len(self.columns)])
+        mean = lambda name: sum(getattr(e, name) for e in ended) / len(ended) if ended else None
+        head = {key: entry.pop(key) for key in ("iteration", "step", "transitions", "frames")}
+        line = head | {
+            "seed": self.seeds[i],
+            "episodes": self.summaries[i].episodes,
+            "ext_return": mean("ext_return"),
+            "score": mean("score"),
+            "last100_ext_return": self.summaries[i].last100,
+        }
+        line = {key: finite_or_none(value) for key, value in (line | entry).items()}
+        self.metrics.write(json.dumps(line, allow_nan=False) + "\n")
+        self.tensorboard.add(line, time.time())
+        return line
+
+    def flush(self) -> None:
+        """Hand everything written so far to the system."""
+        for log in (self.metrics, self.episodes, self.tensorboard):
+            log.flush()
+
+    def manifest(self) -> dict[str, Any]:
+        """What a checkpoint of this moment says of the logs, which are now safe on the disk."""
+        last = [summary.last100 for summary in self.summaries if summary.last100 is not None]
+        marks = dict(zip(LOGS, (self.metrics.mark(), self.episodes.mark()), strict=True))
+        return {"logs": marks, "last100": finite_or_none(sum(last) / len(last)) if last else None}
+
+    def summarize(self, step: int) -> None:
+        """Write summary.json for `step` rows per seed."""
+        seeds = [
+            {"seed": seed, "steps": step}
+            | {key: finite_or_none(value) for key, value in summary.figures().items()}
+            | {"wall_seconds": self.wall_seconds}
+            for seed, summary in zip(self.seeds, self.summaries, strict=True)
+        ]
+        write_atomically(self.path / "summary.json", json.dumps({"seeds": seeds}, indent=1) + "\n")
+
+    def close(self) -> None:
+        """Close the files."""
+        for log in (self.metrics, self.episodes, self.tensorboard):
+            log.close()
+
+
+def finite_or_none(value: Any) -> Any:
+    """JSON has no NaN and no infinity: they become null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def mean_over_seeds(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """The mean over seeds of every figure that is there for any."""
+    mean = {}
+    for key in lines[0]:
+        values = [line[key] for line in lines if line[key] is not None]
+        mean[key] = sum(values) / len(values) if values else None
+    return mean | {"step": lines[0]["step"]}

@@ -1,0 +1,214 @@
+"""One job of a sweep, as a launcher runs it: a process of its own, its lock, and how it ended."""
+
+import itertools
+import os
+import random
+import signal
+import subprocess
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
+from omegaconf import DictConfig
+
+from ..system.subprocesses import start_command
+from .job_status import lock_job, summary_metric
+from .jobs import (
+    Job,
+    find_conflict,
+    job_file,
+    job_name,
+    make_job,
+    parse_sweep,
+    quote_path,
+    read_job,
+    split_hydra_arguments,
+    write_job,
+)
+
+SEARCH_METRIC = (
+    "mean_ext_return"  # what a search maximises: it counts how early as well as how often
+)
+STOP_FILE = "stop"  # a file: no job begins, and those that run are told to end
+FAILURE_PREFIX = "job"  # how the word of a job's failure begins
+PATIENCE = 60.0  # seconds that a run may take to end after its worker was killed
+
+
+class JobFailed(CompactHydraException):
+    """A job's run did not finish; raised where it ran, so that its launcher knows."""
+
+
+@dataclass(frozen=True)
+class JobRunner:
+    """What a launcher runs: one job, in a process of its own. Importable, so it can travel."""
+
+    directory: str
+    start: str  # the directory that the sweep was started in
+    starter: int  # the process that did
+    swept: tuple[str, ...]  # the keys that a search gives values to
+    threads: int
+    gpus: tuple[str, ...]  # that jobs share out among them
+
+    def __call__(self, config: DictConfig) -> float | None:
+        """Run the job that Hydra's job names; the figure that a search goes by.
+
+        Raises:
+          JobFailed: why it did not finish.
+        """
+        directory = Path(self.directory)
+        job = self.find_job(directory, config)
+        with lock_job(directory, job.name, PATIENCE) as log:
+            if log is None:
+                raise JobFailed(f"{FAILURE_PREFIX} {job.name}: another process runs it")
+            if (directory / STOP_FILE).exists():
+                raise JobFailed(
+                    f"{FAILURE_PREFIX} {job.name}: not begun, the sweep was interrupted"
+                )
+            if job.problem is None:
+                self.run(directory, job, log)
+            steps, value = summary_metric(directory / job.name, SEARCH_METRIC)
+        if job.problem is not None or steps < job.total:
+            raise JobFailed(f"{FAILURE_PREFIX} {job.name}: {job.problem or 'not finished'}")
+        if self.swept and value is None:
+            raise JobFailed(
+                f"{FAILURE_PREFIX} {job.name}: no episode ended, there is nothing to go by"
+            )
+        return value
+
+    def find_job(self, directory: Path, config: DictConfig) -> Job:
+        """The job of Hydra's job: one that was listed, or what a search came upon."""
+        if name := config.get("job"):
+            return read_job(job_file(directory, name, "json"))[0]
+        overrides, _ = split_hydra_arguments(HydraConfig.get().overrides.task)
+        GlobalHydra.instance().clear()  # the job's own is not asked again; `load` makes another
+        job = make_job(job_name(overrides, self.swept), overrides)
+        path = job_file(directory, job.name, "json")
+        known = read_job(path)[0] if path.exists() else None
+        if other := find_conflict(directory, job, known):
+            return job._replace(problem=other)
+        if summary_metric(directory / job.name, SEARCH_METRIC)[0] < job.total or job.problem:
+            write_job(directory, job)
+        return job
+
+    def run(self, directory: Path, job: Job, log: int) -> None:
+        """Start the job's run or resume it, and keep how it ended.
+
+        Args:
+          directory: of the sweep.
+          job: what to run.
+          log: its log, open and locked.
+
+        Raises:
+          JobFailed: why it did not finish.
+        """
+        run_dir = directory / job.name
+        if summary_metric(run_dir, SEARCH_METRIC)[0] >= job.total:
+            return
+        arguments = [*job.overrides, f"run_dir={quote_path(run_dir)}", "resume=auto"]
+        if "group" not in parse_sweep(job.overrides):
+            arguments.append(f"group={quote_path(directory)}")
+        before = os.fstat(log).st_size
+        with self.device() as device:
+            with ignore_worker_signals(os.getpid() != self.starter):
+                process = start_command(
+                    "run",
+                    arguments,
+                    output=log,
+                    cwd=self.start,
+                    variables=thread_variables(self.threads) | device,
+                )
+            write_job(directory, job, pid=process.pid)
+            try:
+                status = wait_or_stop(process, directory / STOP_FILE)
+            except BaseException:  # whatever a launcher raises in its workers at a time limit
+                process.terminate()
+                status = process.wait()
+                raise
+            finally:
+                text = job_file(directory, job.name, "log").read_bytes()[before:]
+                why = {"reason": failure_reason(text.decode(errors="replace").splitlines(), status)}
+                code = 128 - status if status < 0 else status
+                write_job(directory, job, status=code, **(why if status else {}))
+        if status != 0:
+            raise JobFailed(f"{FAILURE_PREFIX} {job.name}: {why['reason']}")
+
+    @contextmanager
+    def device(self) -> Iterator[dict[str, str]]:
+        """The environment that shows a run one GPU, if there is one that no other job here has."""
+        locks = Path(tempfile.gettempdir()) / f"sndjax-gpus-{os.getuid()}"
+        for name in self.gpus:
+            with lock_job(locks, name) as own:
+                if own is not None:
+                    yield memory_sharing_variables() | {"CUDA_VISIBLE_DEVICES": name}
+                    return
+        if self.gpus:
+            yield memory_sharing_variables() | {"CUDA_VISIBLE_DEVICES": random.choice(self.gpus)}
+        else:
+            yield {}
+
+
+@contextmanager
+def ignore_worker_signals(worker: bool) -> Iterator[None]:
+    """What is begun inside does not hear the signal by which Slurm tells a job of its time limit.
+
+    That is for the worker, which ends its run in order. From here on a worker does not hear a
+    terminal's Ctrl-C: that is for the sweep.
+    """
+    if not worker or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    heard = signal.signal(signal.SIGUSR2, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGUSR2, heard)
+
+
+def wait_or_stop(process: subprocess.Popen[bytes], stop: Path) -> int:
+    """The status a run ends with; when the sweep is to stop it gets a SIGTERM."""
+    told = False
+    while True:
+        with suppress(subprocess.TimeoutExpired):
+            return process.wait(1.0)
+        if not told and stop.exists():
+            process.terminate()
+            told = True
+
+
+def failure_reason(lines: list[str], status: int) -> str:
+    """What a run's log says of its end."""
+    if status < 0:
+        return f"killed by {signal.Signals(-status).name}"
+    own = [line.removeprefix("sndjax: ") for line in lines if line.startswith("sndjax: ")]
+    return (own or lines or [f"exit status {status}"])[-1]
+
+
+def thread_variables(count: int) -> dict[str, str]:
+    """The environment of a process that computes with so many threads."""
+    names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    return dict.fromkeys(names, str(count))
+
+
+def memory_sharing_variables() -> dict[str, str]:
+    """The environment of a process that leaves others their part of a GPU's memory.
+
+    Unless told otherwise, jax takes three quarters of it at once.
+    """
+    name = "XLA_PYTHON_CLIENT_PREALLOCATE"
+    return {name: os.environ.get(name, "false")}
+
+
+def visible_gpus() -> tuple[str, ...]:
+    """The names of the NVIDIA GPUs that this process may use."""
+    shown = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if shown is None:
+        return tuple(str(k) for k, _ in enumerate(Path("/proc/driver/nvidia/gpus").glob("*")))
+    names = [name.strip() for name in shown.split(",")]
+    return tuple(itertools.takewhile(lambda name: name not in ("", "-1"), names))

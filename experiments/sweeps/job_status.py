@@ -1,0 +1,123 @@
+"""How far each job of a sweep is, by its run directory, its lock and its last run.
+
+Whoever runs a job holds a lock on its log, which the kernel releases with the process.
+"""
+
+import fcntl
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..storage.read_runs import read_summary
+from ..system.errors import ConfigError
+from .jobs import Job, job_file, read_jobs
+
+DONE, RUNNING, STOPPED, FAILED, WAITING = STATES = (
+    "done",
+    "running",
+    "stopped",
+    "failed",
+    "waiting",
+)
+
+
+class JobStatus(NamedTuple):
+    """How far a job is."""
+
+    job: Job
+    state: str  # one of STATES
+    step: int  # per seed
+    last100: float | None  # the mean over seeds of the return of the last 100 episodes
+    reason: str  # of a failure
+
+
+@contextmanager
+def lock_job(directory: Path, name: str, patience: float = 0.0) -> Iterator[int | None]:
+    """Hold a job; its log, open, or None where another process still holds it after a while.
+
+    A run whose waiting worker was killed holds it, too, until it has written its checkpoint.
+    """
+    path = job_file(directory, name, "log")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    log = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    end = time.monotonic() + patience
+    try:
+        while not try_lock(log, fcntl.LOCK_EX):
+            if time.monotonic() >= end:
+                yield None
+                return
+            time.sleep(0.5)
+        yield log
+    finally:
+        os.close(log)
+
+
+def try_lock(file: int, kind: int) -> bool:
+    """Whether the lock could be had at once."""
+    try:
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        raise ConfigError(
+            f"this file system has no locks, and a sweep needs them: {error}"
+        ) from None
+    return True
+
+
+def is_locked(directory: Path, name: str) -> bool:
+    """Whether a process runs the job."""
+    try:
+        with job_file(directory, name, "log").open() as log:
+            return not try_lock(log.fileno(), fcntl.LOCK_SH)
+    except FileNotFoundError:
+        return False
+
+
+def job_status(directory: Path, job: Job, last: dict[str, Any]) -> JobStatus:
+    """How far a job is, by its run directory, its lock and what its last run ended with."""
+    line = last_metrics_line(directory / job.name / "metrics.jsonl")
+    steps, last100 = summary_metric(directory / job.name, "last100_ext_return")
+    step = max(steps, int(line.get("step", 0)))
+    reason = str(last.get("reason", ""))
+    if job.problem is not None:
+        return JobStatus(job, FAILED, step, last100, job.problem)
+    if steps >= job.total:
+        return JobStatus(job, DONE, step, last100, "")
+    if is_locked(directory, job.name):
+        return JobStatus(job, RUNNING, step, line.get("last100_ext_return"), "")
+    if last.get("status") in (None, 0, 130, 143):  # 0: it was shorter then
+        state = STOPPED if step or "pid" in last else WAITING
+        return JobStatus(job, state, step, last100, "")
+    return JobStatus(job, FAILED, step, last100, reason)
+
+
+def job_statuses(directory: Path) -> list[JobStatus]:
+    """How far every job of a sweep is."""
+    return [job_status(directory, job, last) for job, last in read_jobs(directory)]
+
+
+def summary_metric(run: Path, name: str) -> tuple[int, float | None]:
+    """Return a run's steps per seed, and the mean over seeds of one figure of its summary."""
+    try:
+        seeds = read_summary(run)
+        values = [seed[name] for seed in seeds if seed[name] is not None]
+        steps = min((seed["steps"] for seed in seeds), default=0)
+        return steps, sum(values) / len(values) if values else None
+    except (KeyError, TypeError):
+        return 0, None
+
+
+def last_metrics_line(path: Path, size: int = 1 << 16) -> dict[str, Any]:
+    """The last complete object of a log; empty where there is none."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - size))
+            lines = file.read().split(b"\n")[:-1]
+        return json.loads(lines[-1])
+    except (OSError, ValueError, IndexError):
+        return {}

@@ -1,0 +1,197 @@
+"""The jobs of a sweep: their names, their overrides, their files.
+
+A job's run is <sweep>/<name>, its own files are <sweep>/cells/<name>.json and .log.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+
+from ..config.compose import load_config
+from ..config.saved import CHANGEABLE, CONFIG
+from ..config.validation import group_choices, unknown_name_error
+from ..system.display import ProgressBars
+from ..system.errors import ConfigError
+from ..system.files import safe_file_name, write_atomically
+
+FILES = "cells"  # the folder keeps the name that earlier sweeps gave it
+SWEEP_OWNED = ("run_dir", "resume", "repeat")  # a sweep sets these itself
+NAME_KEYS = ("env", "env.id", "algo", "algo.module", "seed")  # what stands in a job's name anyway
+FEW = 20  # jobs that are checked in a moment
+MANY_SEEDS = 1 << 30  # below it a seed is fine whatever else is set
+
+
+class Job(NamedTuple):
+    """One run of a sweep."""
+
+    name: str  # <env>/<algo>/<seed>, and the other swept keys after it
+    overrides: list[str]  # what `experiments.run` is told
+    total: int  # steps per seed
+    problem: str | None  # why it cannot run
+
+
+def expand_jobs(arguments: Sequence[str]) -> list[Job]:
+    """The jobs that a command line with several values stands for, each looked at.
+
+    Raises:
+      ConfigError: it cannot be read, or two jobs would have one directory.
+    """
+    keys = swept_keys(arguments)
+    with ProgressBars() as bars:
+        everything = expand_product(arguments)
+        listed = bars.track("checking jobs", everything) if len(everything) > FEW else everything
+        jobs = [make_job(job_name(one, keys), one) for one in listed]
+    names = Counter(job.name for job in jobs)
+    for name, count in names.items():
+        if count > 1:
+            raise ConfigError(f"{count} jobs would all be {name}")
+    return jobs
+
+
+def expand_product(arguments: Sequence[str]) -> list[list[str]]:
+    """Every combination of the values, as Hydra's own sweeper makes them.
+
+    >>> expand_product(["env=Venture", "seed=0,9"])
+    [['env=Venture', 'seed=0'], ['env=Venture', 'seed=9']]
+    """
+    try:
+        (batch,) = BasicSweeper.split_arguments(list(parse_sweep(arguments).values()), None)
+    except HydraException as error:
+        raise ConfigError(f"{str(error).splitlines()[0]}; a search takes them") from None
+    return batch
+
+
+def split_hydra_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The arguments that are our options, and those that are Hydra's."""
+    left = [argument for argument in arguments if argument not in ("-m", "--multirun")]
+    hydras = [a for a in left if a.lstrip("+~").startswith(("hydra", "sweep="))]
+    for argument in left:
+        if "=" not in argument:
+            raise ConfigError(f"cannot read '{argument}': write key=value")
+        name = argument.removeprefix("sweep=")
+        if name != argument and name not in group_choices("sweep"):
+            raise unknown_name_error("sweep", name, group_choices("sweep"))
+    return [argument for argument in left if argument not in hydras], hydras
+
+
+def parse_sweep(arguments: Sequence[str]) -> dict[str, Override]:
+    """The overrides of a sweep by key; of a repeated key the last."""
+    try:
+        found = OverridesParser.create().parse_overrides(list(arguments))
+    except HydraException as error:
+        raise ConfigError(f"cannot read the sweep: {str(error).splitlines()[0]}") from None
+    overrides = {override.get_key_element(): override for override in found}
+    for key in SWEEP_OWNED:
+        if key in overrides:
+            raise ConfigError(f"{key}: a sweep places its runs itself; say hydra.sweep.dir=DIR")
+    return overrides
+
+
+def swept_keys(arguments: Sequence[str]) -> tuple[str, ...]:
+    """The keys that have several values."""
+    return tuple(
+        k for k, override in parse_sweep(arguments).items() if override.is_sweep_override()
+    )
+
+
+def make_job(name: str, overrides: Sequence[str]) -> Job:
+    """A job, and why it cannot run, as far as that is known before it does."""
+    given = parse_sweep(overrides).get("seed")
+    seed: Any = 0 if given is None else given.value()
+    plain = type(seed) is int and 0 <= seed < MANY_SEEDS
+    others = [override for override in overrides if not (plain and override.startswith("seed="))]
+    return Job(name, list(overrides), *validate_overrides(tuple(others)))
+
+
+@lru_cache(1 << 14)  # to compose a configuration takes a tenth of a second
+def validate_overrides(overrides: tuple[str, ...]) -> tuple[int, str | None]:
+    """The steps per seed that the overrides ask for, and what is wrong with them."""
+    try:
+        config = load_config(list(overrides))
+    except ConfigError as error:
+        return 0, " ".join(str(error).split())
+    return config.iterations * config.rows, None
+
+
+def job_name(overrides: Sequence[str], swept_keys: Sequence[str]) -> str:
+    """The name of a job, which is its directory within the sweep's.
+
+    >>> job_name(["env=Venture", "algo=rnd", "seed=9", "algo.eta=0.5"], ["seed", "algo.eta"])
+    'Venture/rnd/9,algo.eta=0.5'
+    """
+    values = {key: str(override.value()) for key, override in parse_sweep(overrides).items()}
+    env = values.get("env.id", values.get("env", "unnamed"))
+    algo = values.get("algo.module", values.get("algo", "unnamed")).rpartition(":")[2]
+    others = [f"{key}={quote(values[key], safe='')}" for key in swept_keys if key not in NAME_KEYS]
+    return "/".join(
+        (
+            safe_file_name(env),
+            safe_file_name(algo),
+            ",".join([safe_file_name(values.get("seed", "0")), *others]),
+        )
+    )
+
+
+def find_conflict(directory: Path, job: Job, before: Job | None) -> str | None:
+    """Why what is in a job's directory is not of this job, if it is not."""
+    place = directory / job.name
+    free = lambda own: sorted(o for o in own if o.partition("=")[0].lstrip("+") not in CHANGEABLE)
+    read_jobs = before is not None and free(before.overrides) == free(job.overrides)
+    if read_jobs or not (place / CONFIG).is_file():
+        return None
+    try:
+        load_config([*job.overrides, f"run_dir={quote_path(place)}", "resume=auto"])
+    except ConfigError as error:
+        return " ".join(str(error).split())
+    return None
+
+
+def quote_path(path: Path) -> str:
+    """A path as a value of an override."""
+    return "'" + str(path).replace("'", "\\'") + "'"
+
+
+def job_file(directory: Path, name: str, kind: str) -> Path:
+    """Where a job's own file is: `json` or `log`."""
+    return directory / FILES / f"{name}.{kind}"
+
+
+def write_job(directory: Path, job: Job, **more: Any) -> None:
+    """Keep a job, with what is known of its last run."""
+    path = job_file(directory, job.name, "json")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, json.dumps(job._asdict() | more) + "\n")
+
+
+def read_job(path: Path) -> tuple[Job, dict[str, Any]]:
+    """A job with what is known of its last run.
+
+    Raises:
+      ConfigError: the file is none of ours.
+    """
+    try:
+        entry = json.loads(path.read_text())
+        return Job(*(entry.pop(field) for field in Job._fields)), entry
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise ConfigError(f"{path} is no job of a sweep") from None
+
+
+def read_jobs(directory: Path) -> list[tuple[Job, dict[str, Any]]]:
+    """Every job of a sweep with what is known of its last run.
+
+    Raises:
+      ConfigError: there is no sweep here.
+    """
+    found = [read_job(path) for path in sorted((directory / FILES).rglob("*.json"))]
+    if not found:
+        raise ConfigError(f"{directory}: there is no sweep here")
+    return found

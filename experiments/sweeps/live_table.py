@@ -1,0 +1,120 @@
+"""One view of a sweep: a table of its jobs, kept up to date while they run."""
+
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from ..system.display import format_duration, format_number
+from ..system.errors import ConfigError
+from .job_status import FAILED, RUNNING, STATES, WAITING, JobStatus, job_statuses
+
+LOOK_SECONDS = 2  # between two looks at the jobs
+QUIET_SECONDS = 30  # between two lines, where there is no terminal
+COLOURS = dict(zip(STATES, ("green", "cyan", "yellow", "red", "bright_black"), strict=True))
+
+
+def status_table(standings: list[JobStatus]) -> str:
+    """The jobs and how they stand, as plain lines."""
+    width = max((len(s.job.name) for s in standings), default=4)
+    lines = [f"{'job':<{width}}  {'state':<8}{'steps':>12}{'of':>14}  last-100 return"]
+    for s in standings:
+        reason = f"  {s.reason}" if s.reason else ""
+        lines.append(
+            f"{s.job.name:<{width}}  {s.state:<8}{s.step:>12,}{s.job.total:>14,}"
+            f"  {format_number(s.last100)}{reason}"
+        )
+    return "\n".join([*lines, count_states(standings)])
+
+
+def count_states(standings: list[JobStatus]) -> str:
+    """How many jobs are in each state.
+
+    >>> from experiments.sweeps.jobs import Job
+    >>> job = Job("Venture/rnd/0", [], 10, None)
+    >>> count_states([JobStatus(job, "done", 10, None, ""), JobStatus(job, "waiting", 0, None, "")])
+    '2 jobs: 1 done, 1 waiting'
+    """
+    counts = [(sum(s.state == state for s in standings), state) for state in STATES]
+    return f"{len(standings)} jobs: {', '.join(f'{n} {state}' for n, state in counts if n)}"
+
+
+class LiveTable:
+    """Looks at a sweep's files in a thread of its own, whichever launcher runs the jobs."""
+
+    def __init__(self, directory: Path):
+        """Nothing was looked at yet."""
+        self.directory = directory
+        self.standings: list[JobStatus] = []
+        self.begun = time.monotonic()
+        self.first: int | None = None  # steps of all jobs when it began
+        self.over = threading.Event()
+        self.thread = threading.Thread(target=self.watch, daemon=True)
+        self.console = Console()
+        self.live: Live | None = None
+
+    def __enter__(self) -> "LiveTable":
+        self.look()
+        if self.console.is_terminal:
+            self.live = Live(self.render(), console=self.console, auto_refresh=False)
+            self.live.start()
+        self.thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.over.set()
+        self.thread.join()
+        self.look()
+        if self.live is not None:
+            self.live.update(Text(""), refresh=True)
+            self.live.stop()
+
+    def look(self) -> None:
+        """See how the jobs stand."""
+        with suppress(ConfigError):  # a search has none at first
+            self.standings = job_statuses(self.directory)
+        if self.first is None:
+            self.first = sum(s.step for s in self.standings)
+
+    def watch(self) -> None:
+        """Until the sweep is over, show what changed."""
+        said = -float("inf")
+        while not self.over.wait(LOOK_SECONDS):
+            before = {s.job.name: s.state for s in self.standings}
+            with suppress(OSError):  # a file that is replaced while it is read, or nobody to read
+                self.look()
+                if self.live is not None:
+                    self.live.update(self.render(), refresh=True)
+                    continue
+                for s in self.standings:
+                    if before.get(s.job.name, WAITING) != s.state:
+                        more = s.reason or f"last-100 return {format_number(s.last100)}"
+                        print(f"{s.job.name}: {s.state}, {s.step:,} steps, {more}", flush=True)
+                if self.standings and time.monotonic() - said > QUIET_SECONDS:
+                    said = time.monotonic()
+                    print(self.summary(), flush=True)
+
+    def summary(self) -> str:
+        """One line: jobs, steps, and the time that is left at the rate so far."""
+        done = sum(s.step for s in self.standings)
+        total = sum(s.job.total for s in self.standings if not s.job.problem)
+        gained, gone = done - (self.first or 0), time.monotonic() - self.begun
+        left = f", {format_duration(gone * (total - done) / gained)} left" if gained else ""
+        return f"{count_states(self.standings)}; {done:,} of {total:,} steps in {format_duration(gone)}{left}"
+
+    def render(self) -> Group:
+        """The display of this moment: the jobs that run, and one line of all."""
+        shown = Table.grid(padding=(0, 2))
+        for s in self.standings:
+            if s.state in (RUNNING, FAILED):
+                filled = round(20 * s.step / max(s.job.total, 1))
+                bar = Text("━" * filled, "green") + Text("━" * (20 - filled), "bright_black")
+                state = Text(s.state, COLOURS[s.state])
+                more = s.reason or f"{s.step:,} steps  last-100 return {format_number(s.last100)}"
+                shown.add_row(s.job.name, state, bar, more)
+        return Group(shown, Text(self.summary(), "cyan"))

@@ -1,0 +1,303 @@
+"""Sweeps by Hydra's multirun: `sndjax -m env=A,B algo=C,D seed=0,9`.
+
+The jobs of a sweep are checked before the first starts; those that can run and are not finished
+are handed to Hydra's launcher, each a process of its own.
+"""
+
+import os
+import signal
+import sys
+import zlib
+from collections.abc import Sequence
+from contextlib import redirect_stderr, suppress
+from io import StringIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hydra import compose, initialize_config_dir
+from hydra import main as hydra_main
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from ..config.compose import register_configs
+from ..config.saved import CHANGEABLE, innermost_reason
+from ..config.validation import CONF
+from ..reporting.run_report import write_report
+from ..system.errors import ConfigError, print_error
+from .job_runner import FAILURE_PREFIX, SEARCH_METRIC, STOP_FILE, JobRunner, visible_gpus
+from .job_status import (
+    DONE,
+    FAILED,
+    RUNNING,
+    STATES,
+    STOPPED,
+    WAITING,
+    JobStatus,
+    job_status,
+    job_statuses,
+)
+from .jobs import (
+    FILES,
+    Job,
+    expand_jobs,
+    find_conflict,
+    quote_path,
+    read_jobs,
+    split_hydra_arguments,
+    swept_keys,
+    write_job,
+)
+from .live_table import LiveTable, status_table
+from .search import search_report
+
+READY = (STOPPED, FAILED, WAITING)
+MEMORY = 3 << 30  # bytes that a run may take (docs/results/speed.md)
+PLUGINS = {"ray": "ray", "submitit_slurm": "slurm", "submitit_local": "slurm", "optuna": "optuna"}
+
+
+def launcher_resources(launcher: DictConfig, gpus: Sequence[str]) -> tuple[list[str], int]:
+    """What is still to be said to a launcher, and the threads of each of its jobs."""
+    cores = len(os.sched_getaffinity(0))
+    if "n_jobs" in launcher:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        fitting = len(gpus) or max(1, min(cores, memory // MEMORY))
+        jobs = launcher.n_jobs if launcher.n_jobs > 0 else fitting
+        return [f"hydra.launcher.n_jobs={jobs}"], max(1, cores // jobs)
+    if "ray" in launcher:
+        return [], int(launcher.ray.remote.get("num_cpus") or 1)
+    return [], int(launcher.get("cpus_per_task") or cores)
+
+
+def compose_hydra(hydras: list[str]) -> DictConfig:
+    """Hydra's own configuration of a sweep.
+
+    Raises:
+      ConfigError: it refuses what was asked.
+    """
+    register_configs()
+    try:
+        with initialize_config_dir(str(CONF.resolve()), version_base="1.3"):
+            return compose("multirun", overrides=hydras, return_hydra_config=True).hydra
+    except (HydraException, OmegaConfBaseException) as error:
+        missing = [n for n in PLUGINS if any(a.endswith(f"={n}") for a in hydras)]
+        absent = missing and "not find" in str(error)
+        hint = f" (pip install '.[{PLUGINS[missing[0]]}]')" if absent else ""
+        raise ConfigError(f"{innermost_reason(error)}{hint}") from None
+
+
+def default_directory(own: list[str], hydras: list[str]) -> Path:
+    """Where a sweep goes that names no place: the same command, the same place."""
+    named = [a.removeprefix("sweep=") for a in hydras if a.startswith("sweep=")]
+    mine = [a for a in own if a.partition("=")[0] not in CHANGEABLE]
+    if named and not mine:
+        return Path("runs/sweeps") / named[0]
+    digest = zlib.crc32("\n".join([*named, *mine]).encode())
+    return Path("runs/sweeps") / f"{'-'.join([*named, f'{digest:08x}'])}"
+
+
+class Sweep(NamedTuple):
+    """A sweep that was asked for.
+
+    Attributes:
+      directory: where it goes.
+      own: our options, those of the sweep's configuration first.
+      hydras: Hydra's options.
+      hydra: Hydra's own configuration.
+      is_search: a sweeper other than Hydra's basic one chooses the values.
+    """
+
+    directory: Path
+    own: list[str]
+    hydras: list[str]
+    hydra: DictConfig
+    is_search: bool
+
+
+def parse_command(arguments: Sequence[str]) -> Sweep:
+    """Return the sweep that a command line asks for.
+
+    Raises:
+      ConfigError: Hydra cannot read it.
+    """
+    if not __debug__:
+        raise ConfigError(
+            "Hydra reads sweeps by way of asserts: unset PYTHONOPTIMIZE, and say "
+            "+hydra.job.env_set.PYTHONOPTIMIZE=1 for the sweep's runs to have it"
+        )
+    own, hydras = split_hydra_arguments(arguments)
+    hydra = compose_hydra(hydras)
+    directory = Path(hydra.sweep.dir or default_directory(own, hydras)).resolve()
+    params = [f"{key}={value}" for key, value in (hydra.sweeper.get("params") or {}).items()]
+    is_search = not hydra.sweeper._target_.endswith(".BasicSweeper")
+    return Sweep(directory, [*params, *own] if not is_search else own, hydras, hydra, is_search)
+
+
+def multirun(arguments: Sequence[str]) -> int:
+    """Run a sweep, or what is left of it, and return the exit status.
+
+    0 all jobs are done; 1 some failed, or the launcher did; 130 and 143 interrupted.
+
+    Raises:
+      ConfigError: nothing of it can run.
+    """
+    sweep = parse_command(arguments)
+    directory = sweep.directory
+    given = [*sweep.hydras, f"hydra.sweep.dir={quote_path(directory)}"]
+    (directory / STOP_FILE).unlink(missing_ok=True)
+    before: list[JobStatus] | None = None  # of a search it is not known
+    swept: tuple[str, ...] = ()
+    if sweep.is_search:
+        params = sweep.hydra.sweeper.get("params") or {}
+        asked = sweep.own
+        swept = swept_keys([*(f"{key}={value}" for key, value in params.items()), *asked])
+    else:
+        before = prepare_jobs(directory, expand_jobs(sweep.own))
+        left = [s.job.name for s in before if s.state in READY and not s.job.problem]
+        if not left:
+            return summarize(directory, before)
+        given.append("hydra.sweeper.params=null")
+        asked = ["+job=" + ",".join(f"'{name}'" for name in left)]
+    gpus = visible_gpus() if "n_jobs" in sweep.hydra.launcher else ()
+    more, threads = launcher_resources(sweep.hydra.launcher, gpus)
+    runner = JobRunner(
+        directory=str(directory),
+        start=os.getcwd(),
+        starter=os.getpid(),
+        swept=swept,
+        threads=threads,
+        gpus=gpus,
+    )
+    with LiveTable(directory), GracefulStop(directory / STOP_FILE) as stop:
+        trouble = launch(runner, ["-m", *given, *more, *asked])
+    if sweep.is_search and not stop.status and not trouble:
+        print(search_report(directory, swept, SEARCH_METRIC))
+    status = summarize(directory, before)
+    if stop.status:
+        print(f"interrupted; to resume, give the same command: hydra.sweep.dir={directory}")
+        return stop.status
+    if trouble:
+        return print_error(f"the launcher gave up: {trouble}", 1)
+    return status
+
+
+def summarize(directory: Path, before: list[JobStatus] | None) -> int:
+    """Show how the jobs stand and write the page; 0 where all that were asked for are done."""
+    found = {s.job.name: s for s in sweep_statuses(directory)}
+    bad = {s.job.name: s for s in before or () if s.job.problem}
+    names = found if before is None else [s.job.name for s in before]
+    standings = [(found | bad)[name] for name in names]
+    print(status_table(standings))
+    if any(s.step for s in standings):
+        write_page(directory)
+    return 0 if standings and all(s.state == DONE for s in standings) else 1
+
+
+def sweep_statuses(directory: Path) -> list[JobStatus]:
+    """How far the jobs are; a search has none at first."""
+    return job_statuses(directory) if (directory / FILES).is_dir() else []
+
+
+def write_page(directory: Path) -> None:
+    """Write the page of what the jobs have so far."""
+    out = directory / "report"
+    out.mkdir(exist_ok=True)
+    with suppress(ConfigError):  # nothing to show yet
+        write_report([directory], out)
+
+
+def prepare_jobs(directory: Path, listed: list[Job]) -> list[JobStatus]:
+    """Keep the jobs of a sweep, and say what each stands at before anything runs.
+
+    Raises:
+      ConfigError: none of them can.
+    """
+    if all(job.problem for job in listed):
+        raise ConfigError(listed[0].problem)
+    there = read_jobs(directory) if (directory / FILES).is_dir() else []
+    before = {job.name: (job, last) for job, last in there}
+    now = []
+    for job in listed:
+        known, last = before.get(job.name, (None, {}))
+        if job.problem is None and (other := find_conflict(directory, job, known)):
+            job = job._replace(problem=other)  # what is there stays as it is
+        now.append(standing := job_status(directory, job, last))
+        at_work = standing.state in (RUNNING, DONE)
+        if known is None or not (at_work or job.problem):
+            write_job(directory, job, **last)
+    print_prepared(directory, now)
+    return now
+
+
+def print_prepared(directory: Path, statuses: list[JobStatus]) -> None:
+    """Print how many jobs are in each state before anything runs, and which cannot run.
+
+    Args:
+      directory: of the sweep.
+      statuses: of its jobs.
+    """
+    words = {
+        DONE: "done already",
+        RUNNING: "running elsewhere",
+        STOPPED: "to resume",
+        FAILED: "failed before, to try again",
+        WAITING: "new",
+    }
+    bad = [s for s in statuses if s.job.problem]
+    fine = [s for s in statuses if not s.job.problem]
+    counts = {state: [s for s in fine if s.state == state] for state in STATES}
+    parts = [f"{len(found)} {words[state]}" for state, found in counts.items() if found]
+    parts += [f"{len(bad)} that cannot run"] if bad else []
+    print(f"{directory}: {len(statuses)} jobs: {', '.join(parts)}")
+    for one in bad:
+        print(f"cannot run: {one.job.name}: {one.reason}")
+    for state in (STOPPED, FAILED):
+        for one in counts[state]:
+            print(f"{words[state]}: {one.job.name}{f': {one.reason}' if one.reason else ''}")
+
+
+def launch(runner: JobRunner, arguments: list[str]) -> str:
+    """Hand the sweep to Hydra; what it complained of, except of jobs: the table has those."""
+    before, complaint, conf = sys.argv, StringIO(), str(CONF.resolve())
+    sys.argv, at_once = ["sndjax", *arguments], False
+    try:
+        with redirect_stderr(complaint):
+            hydra_main(version_base="1.3", config_path=conf, config_name="multirun")(runner)()
+    except SystemExit as left:
+        if left.code:
+            lines = [line.strip() for line in complaint.getvalue().splitlines() if line.strip()]
+            last = [line for line in lines if "HYDRA_FULL_ERROR" not in line][-2:]
+            return "" if any(line.startswith(FAILURE_PREFIX) for line in last) else " ".join(last)
+    except KeyboardInterrupt:  # a second signal
+        at_once = True
+        return "interrupted"
+    finally:
+        sys.argv = before
+        if "joblib" in sys.modules:  # its workers would wait for more
+            from joblib.externals.loky import get_reusable_executor
+
+            get_reusable_executor().shutdown(kill_workers=at_once)
+    return ""
+
+
+class GracefulStop:
+    """SIGINT and SIGTERM stop a sweep in order: no job begins, runs write a checkpoint and end."""
+
+    def __init__(self, stop: Path):
+        """Nothing was asked yet; `stop` is the file that workers look for."""
+        self.file, self.status = stop, 0
+
+    def __enter__(self) -> "GracefulStop":
+        self.before = {s: signal.signal(s, self.stop) for s in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self.before.items():
+            signal.signal(number, handler)
+
+    def stop(self, number: int, frame: Any) -> None:
+        """Tell the workers, wherever they are; a second signal ends the sweep at once."""
+        if self.status:
+            raise KeyboardInterrupt
+        self.status = 128 + number
+        self.file.touch()

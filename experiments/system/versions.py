@@ -1,0 +1,24 @@
+"""The versions of what a run runs on."""
+
+import platform
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+
+PACKAGES = ("jax", "jaxlib", "flax", "optax", "envpool", "numpy")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that figures depend on, the device, the git revision."""
+    import jax  # the first thing that asks for a device
+
+    found = {"python": platform.python_version()}
+    found |= {name: version(name) for name in PACKAGES}
+    found["device"] = jax.devices()[0].device_kind
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        result = subprocess.run(git, capture_output=True, text=True, timeout=5, check=False)
+        found["revision"] = result.stdout.strip() or "unknown"
+    except (OSError, subprocess.SubprocessError):
+        found["revision"] = "unknown"
+    return found

@@ -1,0 +1,172 @@
+"""From a configuration to an agent, and from a function of one seed to a function of all seeds."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sndjax
+from sndjax.acting import scale_vectors
+from sndjax.algorithms import NAMED
+
+from ..config.library import has_forward_model, has_predictor
+from ..config.schema import AlgoConfig, Config
+from ..environments.pools import Pool
+from ..system.errors import ConfigError
+from .placement import SINGLE_DEVICE, SingleDevice
+from .user_module import load_module
+
+
+def make_intrinsic_config(
+    algo: AlgoConfig, num_actions: int, size: sndjax.Architecture
+) -> sndjax.IntrinsicConfig | None:
+    """Return the intrinsic module of a configuration with its settings; None for the baseline.
+
+    Args:
+      algo: the algorithm and its options.
+      num_actions: A, of the environment.
+      size: the sizes of the networks.
+
+    Raises:
+      ConfigError: the user's module is not one.
+      ValueError: the module refuses this environment.
+    """
+    if algo.name == "ppo":
+        return None
+    own: dict[str, Any] = {"preprocess": algo.preprocess, "activation": algo.activation}
+    if has_predictor(algo.signal):
+        own["pairing"] = algo.pairing
+    if has_forward_model(algo.signal):
+        own["gradient"] = algo.gradient
+    if algo.module is not None:
+        make = partial(load_module, algo.module)
+        own = {}
+    elif algo.name == "grid":
+        make = partial(sndjax.make_module, algo.objective, algo.signal)
+    else:
+        make = cast(Any, NAMED[algo.name])
+    return sndjax.IntrinsicConfig(
+        module=make(num_actions, size, **own),
+        eta=algo.eta,
+        reward_scale=cast(Any, algo.reward_scale),  # one of the choices: it was validated
+        learning_rate=algo.learning_rate,
+        minibatch_size=algo.minibatch_size,
+        shuffle=algo.shuffle,
+    )
+
+
+def network_sizes(config: Config, pool: Pool) -> sndjax.Architecture:
+    """Return the network sizes for the frames of a pool.
+
+    Raises:
+      ConfigError: the network is for pixels, and there are none.
+    """
+    if pool.dtype != np.uint8:
+        if config.network != "thesis":
+            raise ConfigError(
+                f"network={config.network} (which preset=laptop says too) is for pixels; "
+                f"{config.env.id} has none"
+            )
+        return sndjax.VECTOR
+    if config.network == "small":
+        return sndjax.SMALL
+    return sndjax.ATARI if pool.shape[-1] == 1 else sndjax.PROCGEN
+
+
+def build_agent(config: Config, pool: Pool) -> sndjax.AgentSpec:
+    """Return the agent of a configuration for the frames and actions of a pool."""
+    size = network_sizes(config, pool)
+    intrinsic = make_intrinsic_config(config.algo, pool.num_actions, size)
+    return sndjax.AgentSpec(
+        network=sndjax.ActorCritic(size, pool.num_actions, 2 if intrinsic else 1),
+        ppo=sndjax.Hyperparameters(**asdict(config.ppo)),
+        intrinsic=intrinsic,
+        stack=sndjax.FrameStack(config.env.stack, config.env.repeat_first),
+        unbounded=pool.unbounded,
+        random_action=config.env.random_action,
+    )
+
+
+def make_encode(agent: sndjax.AgentSpec) -> Callable[..., Any] | None:
+    """Return the encoder of the agent's module as a jitted function of one seed; None without.
+
+    Returns:
+      (state, frames[B, *frame], action[B]) -> features float32[B, d].
+    """
+    features = agent.intrinsic.module.features if agent.intrinsic else None
+    if features is None:
+        return None
+
+    @jax.jit
+    def encode(state: sndjax.TrainState, frames: jax.Array, action: jax.Array) -> jax.Array:
+        seen = scale_vectors(frames, state.observations, agent.unbounded)
+        return features(state.intrinsic, state.intrinsic_state, seen, action)
+
+    return encode
+
+
+def map_over_seeds(
+    function: Callable[..., Any], seeds: int, shared: int = 0, axis: str | None = None
+) -> Callable[..., Any]:
+    """Return the function with its leaves mapped over seeds, [S, ...].
+
+    One seed is not mapped but squeezed: a batch axis of one costs time on a CPU.
+
+    Args:
+      function: of one seed.
+      seeds: S.
+      shared: so many of its last arguments are the same for all seeds.
+      axis: on several devices, the mesh's axis of seeds.
+    """
+    if seeds > 1:
+        in_axes = lambda args: [0] * (len(args) - shared) + [None] * shared
+        return lambda *args: jax.vmap(function, in_axes(args), spmd_axis_name=axis)(*args)
+
+    def single(*args: Any) -> Any:
+        own, same = args[: len(args) - shared], args[len(args) - shared :]
+        result = function(*jax.tree.map(lambda x: x[0], own), *same)
+        return jax.tree.map(lambda x: x[None], result)
+
+    return single
+
+
+def init_states(agent: sndjax.AgentSpec, seeds: list[int], example: Any) -> sndjax.TrainState:
+    """Return the state of every seed before its first iteration, leaves [S, ...].
+
+    One seed after another: under vmap the orthogonal weights become a batched QR
+    decomposition, and two of those at once deadlock jaxlib 0.10.2 on a CPU of two cores (each
+    holds a thread of the pool and waits there for the other's).
+
+    Args:
+      agent: whose states.
+      seeds: one per agent.
+      example: frames [N, *frame], for their shape and dtype.
+    """
+    init = jax.jit(partial(sndjax.init_train_state, agent))
+    states = [init(jax.random.key(seed), example) for seed in seeds]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+
+def make_seeds_train_step(
+    agent: sndjax.AgentSpec, config: Config, placement: SingleDevice = SINGLE_DEVICE
+) -> Callable[..., Any]:
+    """Return `train_step` of every seed, leaves [S, ...], that treats NaN as `on_nan` says.
+
+    Args:
+      agent: what learns.
+      config: its `on_nan` and its number of seeds.
+      placement: where the rows of a minibatch are computed.
+    """
+    step = sndjax.make_train_step(agent, placement.shard_rows)
+
+    def watched(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
+        state, metrics, reward = step(state, batch)
+        fine = sndjax.all_finite(cast(Any, state)._replace(key=()))
+        return state, metrics | {"state_finite": fine}, reward
+
+    steps = {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}
+    return map_over_seeds(steps[config.on_nan], config.num_seeds, axis=placement.axis)

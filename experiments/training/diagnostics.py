@@ -1,0 +1,106 @@
+"""Numbers that go wrong: not finite, or finite and a sign that nothing is being learned."""
+
+import math
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from sndjax import Experience, TrainState
+
+from ..config.saved import SavedConfig, to_yaml
+from ..config.schema import Config
+from ..storage.checkpoints import unwrap_key, write_tree
+
+WINDOW = 10  # iterations that a sign must last
+PPO = ("policy_loss", "value_loss", "entropy", "kl", "ratio_clipped", "ppo_loss", "grad_norm")
+LAST = ("module_loss", "module_grad_norm")
+
+
+def computation_order(name: str) -> tuple[int, int]:
+    """Where in an update a figure comes up: rewards, PPO, the module, its loss and gradient."""
+    if name == "ext_reward" or name.startswith("int_"):
+        return (0, name != "ext_reward")
+    if name == "state":
+        return (3, 0)
+    if name in PPO:
+        return (1, PPO.index(name))
+    return (2, 1 + LAST.index(name) if name in LAST else 0)
+
+
+def nonfinite_terms(
+    seeds: list[int], reward: Any, valid: Any, metrics: dict[str, list[float]]
+) -> list[str]:
+    """The terms that are not finite, each with its seed, in the order of their computation."""
+    found = []
+    for i, seed in enumerate(seeds):
+        terms = {"ext_reward": float(np.asarray(reward[i])[np.asarray(valid[i])].sum())}
+        terms |= {name: values[i] for name, values in metrics.items()}
+        if not terms.pop("state_finite", True):
+            terms["state"] = math.nan
+        found += [
+            f"seed {seed}: {name} is {terms[name]}"
+            for name in sorted(terms, key=computation_order)
+            if not math.isfinite(terms[name])
+        ]
+    return found
+
+
+def write_dump(
+    path: Path, config: Config, versions: dict[str, str], state: TrainState, batch: Experience
+) -> None:
+    """Write what `experiments.replay` needs: the state before the update, and its batch."""
+    tree = jax.tree.map(np.asarray, {"state": unwrap_key(state), "batch": batch})
+    write_tree(path, tree, {"config": to_yaml(SavedConfig(config, versions))})
+
+
+class HealthMonitor:
+    """What the last iterations of a seed look like; each warning is given once."""
+
+    def __init__(self, num_actions: int):
+        entropy = math.log(num_actions)
+        self.recent: dict[str, deque[float]] = {}
+        self.warned: set[str] = set()
+        # figure -> (whether its mean over the last iterations is a bad sign, what to do)
+        self.signs = {
+            "feature_spread": (
+                lambda value: value < 1e-4,
+                "the encoder has collapsed: all states have the same features, so the signal says "
+                "nothing. The thesis regularises against it: snd_vic's variance term (eq. 5.7), "
+                "snd_std's norm and spread terms (eq. 5.3-5.6)",
+            ),
+            "int_reward_clipped": (
+                lambda value: value > 0.5,
+                "more than half of the intrinsic rewards are cut off at 1 and tell states no "
+                "longer apart. The thesis chooses eta per environment among 0.25, 0.5 and 1: take "
+                "a smaller algo.eta, or algo.reward_scale=running_std",
+            ),
+            "entropy": (
+                lambda value: value < 0.01 * entropy,
+                "the policy is dead: it has almost stopped choosing (entropy below 1% of ln A). "
+                "The thesis holds it up with an entropy weight of 0.001 (Table 5.2): take a larger "
+                "ppo.entropy_weight, or a smaller ppo.learning_rate",
+            ),
+            "skipped": (
+                lambda value: value == 1,
+                "every one of the last iterations was skipped: what makes its numbers go wrong "
+                "stays. The thesis says nothing of it; look with on_nan=stop",
+            ),
+        }
+
+    def update(self, line: dict[str, Any]) -> list[str]:
+        """The warnings that a line of metrics gives rise to."""
+        found = []
+        for name, (bad, advice) in self.signs.items():
+            value = line.get(name)
+            if value is None or name in self.warned:
+                continue
+            recent = self.recent.setdefault(name, deque(maxlen=WINDOW))
+            recent.append(value)
+            mean = sum(recent) / len(recent)
+            if len(recent) == WINDOW and bad(mean):
+                self.warned.add(name)
+                found.append(f"warning, seed {line['seed']}: {name} {mean:.2g}: {advice}")
+        return found

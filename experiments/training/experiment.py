@@ -1,0 +1,105 @@
+"""One `build_experiment(config)`: the environments of a configuration and the agent for them."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+import sndjax
+
+from ..config.schema import Config
+from ..environments.pools import Pool, make_pools
+from ..system.errors import ConfigError
+from .agents import build_agent, init_states, make_seeds_train_step, map_over_seeds
+from .placement import SINGLE_DEVICE, SingleDevice
+from .rollouts import Collector, choose_num_pools
+
+
+class Experiment(NamedTuple):
+    """What a configuration stands for; nothing is compiled before it is used.
+
+    Attributes:
+      config: the configuration.
+      pools: its environments, in groups that are stepped apart from each other.
+      agent: what learns.
+      placement: on which devices.
+      act: `sndjax.act` of every seed, compiled on its first call.
+      example: zeros of the shape and dtype of frames [N, *frame].
+    """
+
+    config: Config
+    pools: list[Pool]
+    agent: sndjax.AgentSpec
+    placement: SingleDevice
+    act: Callable[..., Any]
+    example: jax.Array
+
+    @property
+    def pool(self) -> Pool:
+        """The first pool, for what is the same of all: shapes, dtypes, actions."""
+        return self.pools[0]
+
+    def init_states(self) -> sndjax.TrainState:
+        """Return the state of every seed before its first iteration, leaves [S, ...]."""
+        return init_states(self.agent, self.config.seeds, self.example)
+
+    def state_shapes(self) -> sndjax.TrainState:
+        """Return the shapes and dtypes of the states; nothing is computed."""
+        return jax.eval_shape(self.init_states)
+
+    def make_collector(self) -> Collector:
+        """Reset the environments, and return the collector of their rollouts."""
+        return Collector(
+            pools=self.pools,
+            act=self.act,
+            stack=self.config.env.stack,
+            steps=self.config.rollout_length,
+            heads=self.agent.network.value_heads,
+            place=self.placement.put_frames,
+        )
+
+    def make_train_step(self) -> Callable[..., Any]:
+        """Return `train_step` of every seed, leaves [S, ...], not jitted."""
+        return make_seeds_train_step(self.agent, self.config, self.placement)
+
+
+def build_experiment(
+    config: Config,
+    placement: SingleDevice = SINGLE_DEVICE,
+    start_iteration: int = 0,
+    probe: bool = False,
+) -> Experiment:
+    """Return the environments and the agent of a configuration.
+
+    Args:
+      config: a valid configuration.
+      placement: on which devices it computes, and which environments are this host's.
+      start_iteration: the iteration that the run starts at; it seeds the environments' streams.
+      probe: make one environment only, to learn its spaces, and close it again. For agents that
+        play in other environments, or in none.
+
+    Raises:
+      ConfigError: the task cannot be made or trained on, or the algorithm refuses it.
+    """
+    if probe:
+        pools = make_pools(config.env, config.seeds[:1], 1)
+        pools[0].close()
+    else:
+        pools = make_pools(
+            config.env,
+            config.seeds,
+            config.num_envs,
+            start_iteration,
+            placement.num_pools(choose_num_pools(config.num_envs), config.num_envs),
+            placement.local_env_slice(config.num_envs),
+        )
+    agent = build_agent(config, pools[0])
+    example = jnp.zeros((config.num_envs, *pools[0].shape), pools[0].dtype)
+    try:
+        jax.eval_shape(partial(sndjax.init_train_state, agent), jax.random.key(0), example)
+    except ValueError as error:  # an objective that this environment has nothing for
+        raise ConfigError(f"algo={config.algo.name}: {error}") from None
+    act = map_over_seeds(partial(sndjax.act, agent), config.num_seeds, 1, placement.axis)
+    return Experiment(config, pools, agent, placement, placement.compile_act(act), example)

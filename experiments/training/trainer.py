@@ -1,0 +1,276 @@
+"""The run itself: rollout -> train_step -> log, iteration after iteration."""
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sndjax
+
+from ..config.schema import Config
+from ..storage.checkpoints import CheckpointError
+from ..storage.episodes import EpisodeTracker
+from ..storage.run_directory import FollowerDirectory, RunDirectory
+from ..storage.run_logs import mean_over_seeds
+from ..system.display import Progress, format_duration
+from ..system.interrupts import Interrupted, Interrupts
+from ..system.process import enable_compilation_cache, return_freed_memory
+from ..system.versions import versions
+from .diagnostics import HealthMonitor, nonfinite_terms, write_dump
+from .experiment import build_experiment
+from .flops import estimate_seconds
+from .placement import choose_placement
+from .rollouts import RolloutInfo
+from .run_logger import RunLogger
+
+LONG_SECONDS = 60  # an iteration that takes longer is always followed by a checkpoint
+GRACE_SECONDS = 4  # that an update may continue after SIGTERM, so that its checkpoint is in time
+
+
+class Trainer:
+    """A run and what it holds open."""
+
+    def __init__(self, config: Config, directory: RunDirectory | FollowerDirectory):
+        """Prepare everything that can refuse the configuration; compile nothing yet."""
+        enable_compilation_cache()
+        self.config, self.seeds = config, config.seeds
+        self.placement = choose_placement(config)
+        self.logger = RunLogger(config, directory, self.placement)
+        self.experiment = build_experiment(config, self.placement, self.logger.done)
+        self.collector = self.experiment.make_collector()
+        self.train_step = self.placement.compile_train_step(self.experiment.make_train_step())
+        self.update: Any = None  # the compiled train_step
+        self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
+        # None: not made yet, or in an update.
+        self.state: sndjax.TrainState | None = self.logger.load(self.experiment.state_shapes())
+        self.update_seconds: float | None = None  # that an update is expected to take
+        self.logger.open_tracker()
+
+    def train(self, interrupts: Interrupts) -> None:
+        """Train to the last iteration, logging each."""
+        self.interrupts = interrupts
+        config, logger = self.config, self.logger
+        total = config.iterations * config.rows
+        logger.open_logs(self.experiment.agent, self.experiment.pool.rooms)
+        title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {logger.path}"
+        self.progress = Progress(title, total, logger.done * config.rows)
+        for line in [*logger.messages, *self.announcements()]:
+            self.progress.say(line)
+        logger.say = self.progress.say
+        finished = False
+        try:
+            try:
+                self.iterate()
+            except Interrupted:
+                self.save_before_leaving()
+                raise
+            finished = True
+            logger.logs.summarize(logger.done * config.rows)
+            self.progress.say(f"finished: {logger.path}")
+        finally:
+            self.progress.close()
+            logger.close(finished)
+            self.collector.close()
+
+    def announcements(self) -> Iterator[str]:
+        """Yield what there is to know before the first iteration."""
+        config, intrinsic = self.config, self.experiment.agent.intrinsic
+        signal_has_scale = intrinsic is None or intrinsic.module.has_published_scale
+        if not signal_has_scale and config.algo.reward_scale == "none":
+            yield (
+                f"the signal {config.algo.signal} has no published scale: unless its share of "
+                "clipped rewards stays low, take algo.reward_scale=running_std"
+            )
+        if 0 < self.logger.done < config.iterations:
+            yield f"resuming from iteration {self.logger.done}; environments begin new episodes"
+
+    def iterate(self) -> None:
+        """Run every iteration from the one that is next to the last."""
+        config, progress, logger = self.config, self.progress, self.logger
+        if logger.done == config.iterations:
+            return
+        progress.phase("compiling the policy")
+        if self.state is None:
+            self.state = self.placement.put_states(self.experiment.init_states())
+            logger.save(self.state)  # so that there is always one to resume from
+        pool = self.experiment.pool
+        self.episodes = EpisodeTracker(self.seeds, config.num_envs, pool.rooms)
+        self.monitors = {seed: HealthMonitor(pool.num_actions) for seed in self.seeds}
+        for line in logger.logs.read_back():
+            self.monitors[line["seed"]].update(line)  # these warnings were printed before
+        while logger.done < config.iterations:
+            self.run_iteration()
+            self.check()
+        logger.save(self.state)
+        progress.phase("saving")
+        logger.flush()
+
+    def run_iteration(self) -> None:
+        """Collect a rollout, learn from it, log it; write a checkpoint where it is time for one."""
+        config, progress, logger = self.config, self.progress, self.logger
+        begun = time.monotonic()
+        batch, info = self.collect()
+        collected = time.monotonic()
+        metrics, int_reward = self.learn(batch, info)
+        assert self.state is not None
+        elapsed = time.monotonic() - begun
+        times = {
+            "steps_per_second": config.rows / elapsed,
+            "collect_seconds": collected - begun,
+            "update_seconds": self.update_seconds,
+        }
+        logger.logs.wall_seconds += elapsed
+        ended = self.episodes.update(
+            logger.done * config.rows,
+            info.valid,
+            info.done,
+            (info.reward, info.score, int_reward),
+            info.room,
+        )
+        lines = logger.log(info, metrics, ended, times)
+        progress.iteration(mean_over_seeds(lines))
+        for line in lines:
+            for warning in self.monitors[line["seed"]].update(line):
+                progress.say(warning)
+        if logger.checkpoint_due(elapsed > LONG_SECONDS):
+            logger.save(self.state)
+            self.check()
+            logger.write_snapshot(self.state, batch, int_reward)
+
+    def check(self) -> None:
+        """Raise Interrupted if a signal has come; several hosts stop together."""
+        if self.placement.any_host(self.interrupts.received is not None):
+            raise Interrupted(self.interrupts.received or signal.SIGTERM)
+
+    def collect(self) -> tuple[sndjax.Experience, RolloutInfo]:
+        """Collect the next rollout."""
+        assert self.state is not None
+        self.progress.phase("collecting")
+
+        def stepped(step: int) -> None:
+            self.interrupts.begin()  # the policy is compiled: from here on a check is never far
+            if self.placement.hosts == 1:  # several stop together, after an iteration
+                self.interrupts.check()
+            self.progress.within(step / self.config.rollout_length)
+
+        actor = sndjax.Actor(self.state.policy, self.state.observations, self.state.key)
+        batch, info = self.collector.collect(actor, stepped)
+        return self.placement.put_batch(batch), self.placement.gather_hosts(info)
+
+    def learn(
+        self, batch: sndjax.Experience, info: RolloutInfo
+    ) -> tuple[dict[str, list[float]], np.ndarray]:
+        """Update every seed's state; return their metrics and intrinsic rewards, [S, T, N].
+
+        Raises:
+          FloatingPointError: with on_nan=stop, a number is not finite.
+        """
+        state = self.state
+        assert state is not None
+        if self.update is None:
+            self.compile(state, batch)
+        # The update uses the state's memory again. One copy stays, on the disk or here.
+        on_disk = self.logger.checkpoints.newest == self.logger.done and self.placement.hosts == 1
+        before = None if on_disk else self.copy(state)
+        self.progress.phase("learning", self.update_seconds)
+        begun = time.monotonic()
+        try:
+            with self.breakable(GRACE_SECONDS):
+                self.state = None
+                state, found, reward = jax.block_until_ready(self.update(state, batch))
+        except Interrupted:
+            self.state = before
+            raise
+        self.update_seconds = time.monotonic() - begun
+        metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
+        wrong = nonfinite_terms(self.seeds, info.reward, info.valid, metrics)
+        if wrong and self.config.on_nan == "stop":
+            raise FloatingPointError(self.keep_nonfinite(wrong, before, batch))
+        metrics.pop("state_finite", None)
+        self.state = state
+        return metrics, np.asarray(reward)
+
+    def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
+        """Return a context in which a signal breaks off the wait; not while other hosts wait."""
+        return self.interrupts.waiting(grace) if self.placement.hosts == 1 else nullcontext()
+
+    def compile(self, state: sndjax.TrainState, batch: sndjax.Experience) -> None:
+        """Compile the update, and estimate how long one takes."""
+        self.progress.phase("compiling the update")
+        begun = time.monotonic()
+        with self.breakable():
+            traced = self.train_step.trace(state, batch)
+            self.update = traced.lower().compile()
+        self.update_seconds = estimate_seconds(traced.jaxpr.jaxpr)
+        return_freed_memory()
+        self.progress.say(
+            f"update compiled in {time.monotonic() - begun:.0f} s; "
+            f"each takes about {format_duration(self.update_seconds)}"
+        )
+
+    def keep_nonfinite(
+        self, wrong: list[str], before: sndjax.TrainState | None, batch: sndjax.Experience
+    ) -> str:
+        """Write a checkpoint from before the update and a dump of it; return what to tell the user.
+
+        Args:
+          wrong: the terms that are not finite.
+          before: the state before the update; None where the checkpoint is of it.
+          batch: what the update learned from.
+        """
+        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        logger = self.logger
+        what = f"iteration {logger.done + 1}, {wrong[0]}{more}"
+        dump = logger.path / f"wrong-{logger.done + 1}"
+        try:
+            if before is None:
+                before = logger.load_newest(self.experiment.state_shapes())
+            self.state = before
+            logger.save(before)
+            logger.flush()
+            before, batch = self.placement.to_host((before, batch))
+            if self.placement.is_leader:
+                write_dump(dump, self.config, versions(), before, batch)
+        except (OSError, CheckpointError) as error:
+            return f"{what}; what it came from could not be kept: {error}"
+        return (
+            f"{what}; the last good checkpoint is that of iteration {logger.done}; to see why: "
+            f"sndjax replay {dump}"
+        )
+
+    def save_before_leaving(self) -> None:
+        """Write a checkpoint of this moment, unless the state is inside a broken-off update."""
+        self.progress.phase("saving")
+        try:
+            if self.state is not None:
+                self.logger.save(self.state)
+            self.logger.flush()
+        except OSError as error:
+            self.progress.say(f"no checkpoint of this moment: {error}")
+
+
+def train(
+    config: Config, directory: RunDirectory | FollowerDirectory, interrupts: Interrupts
+) -> None:
+    """Train the configuration in its directory, or resume what is there.
+
+    Args:
+      config: a valid configuration.
+      directory: of the run, locked.
+      interrupts: the signals that came for this process.
+
+    Raises:
+      ConfigError: the task or the checkpoint refuses the configuration; nothing was written yet.
+      FloatingPointError: a number is not finite.
+      Interrupted: by a signal.
+      OSError: the run cannot be written.
+    """
+    trainer = Trainer(config, directory)
+    trainer.logger.messages += directory.begin(config, versions())
+    trainer.train(interrupts)

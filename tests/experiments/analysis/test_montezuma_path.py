@@ -1,0 +1,60 @@
+import json
+
+import numpy as np
+import pytest
+
+from experiments.analysis import montezuma_path as trajectory
+from experiments.config.schema import ConfigError
+from experiments.environments.pools import MONTEZUMA_ROOM
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return trajectory.load_committed_trajectory()
+
+
+def test_it_is_long_and_goes_through_many_rooms(walk):
+    assert walk.frames.shape == (2_700, 96, 96, 1)
+    assert len(walk.action) == len(walk.room) == 2_699
+    assert len(np.unique(walk.room)) >= 10
+    stored = json.loads(trajectory.DATA.read_text())
+    assert list(dict.fromkeys(walk.room.tolist())) == stored["rooms"]
+
+
+def test_another_emulator_goes_the_same_way(walk):
+    """ALE itself, stepped by hand, is in the same room at every step."""
+    emulator = trajectory.Emulator()
+    rooms = [int(emulator.step(action)[MONTEZUMA_ROOM]) for action in walk.action.tolist()]
+    np.testing.assert_array_equal(walk.room, rooms)
+
+
+def test_a_list_that_leads_elsewhere_is_refused(tmp_path):
+    stored = json.loads(trajectory.DATA.read_text())
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(stored | {"actions": "a" * 50}))
+    with pytest.raises(ConfigError, match="leads to other frames"):
+        trajectory.load_committed_trajectory(other)
+
+
+def test_a_search_can_go_back_to_every_cell():
+    search = trajectory.Search(0)
+    for _ in range(12):
+        search.explore(search.choose())
+    assert len(search.nodes) > 3
+    for node in (1, len(search.nodes) - 1):
+        actions = search.actions(node)
+        assert len(actions) == search.nodes[node].depth
+        emulator = trajectory.Emulator()
+        for action in actions:
+            ram = emulator.step(action)
+        emulator.ale.restoreState(search.nodes[node].state)
+        np.testing.assert_array_equal(ram, emulator.ale.getRAM())
+
+
+def test_a_search_ends_with_as_many_states_as_were_asked_for(monkeypatch):
+    monkeypatch.setattr(trajectory, "STATES", 150)
+    search = trajectory.Search(1)
+    for _ in range(5):
+        search.explore(search.choose())
+    end = search.lengthen()
+    assert len(search.actions(end)) == 149

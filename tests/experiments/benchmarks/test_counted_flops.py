@@ -1,0 +1,33 @@
+import pytest
+from sndjax.make_module import OBJECTIVES, make_encoder_and_predictor
+
+import sndjax
+from experiments.benchmarks.analytic_flops import encoder_flops, flops_per_step
+from experiments.benchmarks.counted_flops import ENVS, gflop_per_step
+from experiments.config.compose import load_config
+from sndjax.algorithms import NAMED
+
+
+def shared(objective, signal):
+    """What sharing saves, in encodings per row.
+
+    In a minibatch of 512 the encoder learns from 512 + 128 frames, not from 1,024; and predictions
+    encode every frame of a rollout once for both states of a row.
+    """
+    return (signal == "prediction") + (
+        3 * (1 - ENVS / 512) if objective not in (None, "none", "contrastive") else 0
+    )
+
+
+@pytest.mark.parametrize("name", ["ppo", "rnd", "snd_v", "snd_vic", "snd_std", "icm", "sp"])
+def test_the_counted_work_is_the_nominal_work_less_what_is_shared(name):
+    make, algo = NAMED[name], load_config(["env=Venture", f"algo={name}"]).algo
+    objective, signal = algo.objective if make else None, algo.signal
+    module = make(18, sndjax.ATARI) if make else None
+    wanted = flops_per_step(objective, signal, sndjax.ATARI, (96, 96, 1), 4, 18)
+    if shared(objective, signal):
+        own, _ = make_encoder_and_predictor(
+            OBJECTIVES[objective], sndjax.ATARI, "elu", "asymmetric"
+        )
+        wanted -= shared(objective, signal) * encoder_flops(own, (96, 96, 1))
+    assert gflop_per_step(module, "Atari") == pytest.approx(wanted / 1e9, rel=0.03)

@@ -1,0 +1,65 @@
+"""`make gpu-evidence`, on what there is: a CPU and a task of seconds."""
+
+import json
+
+from experiments.benchmarks import gpu_suite as evidence
+from experiments.benchmarks.gpu_suite import main
+
+
+def test_without_a_gpu_nothing_is_run_and_it_says_so(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(evidence, "backend", lambda: "cpu")
+    assert main(["--out", str(tmp_path / "out")]) == 2
+    assert "jax sees no GPU here: not run" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_runs_stop_at_their_share_of_the_time_and_go_on_when_called_again(tmp_path):
+    out = tmp_path / "out"
+    arguments = ["--cpu", "--minutes", "0.4", "--envs", "MountainCar", "--algos", "rnd"]
+    reached = []
+    for _ in range(2):
+        assert main([*arguments, "--out", str(out)]) == 0
+        lines = (out / "MountainCar" / "rnd" / "metrics.jsonl").read_text().splitlines()
+        reached.append(json.loads(lines[-1])["step"])
+        assert list((out / "MountainCar" / "rnd" / "checkpoints").iterdir())
+        assert (out / "report" / "index.html").is_file()
+    assert 0 < reached[0] < reached[1] <= 1_003_520
+
+
+RUN = """#!/bin/sh
+echo "begin $3 $4" >> {times}
+trap 'echo "end $3 $4" >> {times}; exit 143' TERM
+case "$*" in *algo=broken*) exit 1;; esac
+echo "says $4, all of the memory: $XLA_PYTHON_CLIENT_PREALLOCATE"
+sleep 60 & wait
+"""
+
+
+def test_side_by_side_all_train_at_once_and_say_what_they_do_in_files(tmp_path, monkeypatch):
+    times, stand_in = tmp_path / "times", tmp_path / "run"
+    stand_in.write_text(RUN.format(times=times))
+    stand_in.chmod(0o755)
+    monkeypatch.setattr(evidence.sys, "executable", str(stand_in))
+    monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
+    cells = [("Venture", "ppo"), ("Venture", "broken"), ("Venture", "rnd")]
+    assert evidence.train_together(cells, tmp_path, 2.0, alone=False) == [0, 1, 0]
+    events = times.read_text().splitlines()
+    assert sorted(events[:3]) == [f"begin env=Venture algo={a}" for a in ("broken", "ppo", "rnd")]
+    assert sorted(events[3:]) == [f"end env=Venture algo={a}" for a in ("ppo", "rnd")]
+    said = (tmp_path / "Venture" / "rnd.log").read_text()
+    assert said == "says algo=rnd, all of the memory: false\n"
+
+
+def test_rounds_share_the_minutes_and_a_run_that_broke_is_named(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def train(cells, out, seconds, alone):
+        asked.append(([algo for _, algo in cells], seconds, alone))
+        return [int(algo == "rnd") for _, algo in cells]
+
+    monkeypatch.setattr(evidence, "train", train)
+    monkeypatch.setattr("experiments.report.write", lambda *_, **__: None)
+    arguments = ["--cpu", "--minutes", "1", "--envs", "Venture", "--algos", "ppo,rnd,icm"]
+    assert main([*arguments, "--at-once", "2", "--out", str(tmp_path / "new" / "out")]) == 2
+    assert asked == [(["ppo", "rnd"], 30.0, False), (["icm"], 30.0, False)]
+    assert "ended by themselves: Venture rnd (status 1)" in capsys.readouterr().err

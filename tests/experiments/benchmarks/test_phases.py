@@ -1,0 +1,67 @@
+import json
+import subprocess
+import sys
+
+import pytest
+
+from experiments.benchmarks import phases as bench
+from experiments.benchmarks import timing as timing
+
+SMALL = ["num_envs=8", "rollout_length=16", "ppo.minibatch_size=32"]
+MODULE = "algo.minibatch_size=32"
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """A smaller matrix product: nothing here looks at the rate itself."""
+    monkeypatch.setattr(timing, "SIZE", 256)
+
+
+@pytest.mark.parametrize(
+    "command", [["algo=ppo"], ["algo=snd_vic", MODULE, "num_seeds=2", "--whole"]]
+)
+def test_the_last_line_is_the_figures_and_they_agree(command, quick, capfd):
+    assert bench.main(["env=MountainCar", *SMALL, *command]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    found = json.loads(lines[-1])
+    phases = found["seconds_per_1000_steps"]
+    assert set(phases) == {"environment", "acting", "rewards", "policy", "motivation"}
+    assert phases["policy"] > 0
+    assert (phases["motivation"] > 0) == ("algo=ppo" not in command)
+    assert found["steps_per_second"] == pytest.approx(1000 / sum(phases.values()))
+    assert found["share_of_peak"] == pytest.approx(
+        found["steps_per_second"] * found["nominal_gflop_per_step"] / found["matmul_gflops"]
+    )
+    assert found["compile_seconds"] > found["compile_seconds_cached"] > 0
+    assert found["peak_rss_mb"] > 100
+    assert ("phases_over_whole" in found) == ("--whole" in command)
+    if "--whole" in command:
+        assert found["phases_over_whole"] == pytest.approx(
+            found["whole_steps_per_second"] / found["steps_per_second"]
+        )
+
+
+def test_a_cell_without_nominal_work_says_so(quick, capfd):
+    command = ["env=MountainCar", "algo=grid", "algo.objective=vicreg", "algo.signal=re3"]
+    assert bench.main([*command, *SMALL, MODULE]) == 0
+    found = json.loads(capfd.readouterr().out.splitlines()[-1])
+    assert found["nominal_gflop_per_step"] is None
+    assert found["share_of_peak"] is None
+
+
+def test_phases_are_timed_on_whole_minibatches():
+    config = bench.load(["env=Venture", "algo=snd_std"])
+    assert bench.timed_steps(config) == 12  # three of 512, of 128 x 128
+    odd = bench.load(["env=MountainCar", "algo=ppo", "num_envs=8", "ppo.minibatch_size=1024"])
+    assert bench.timed_steps(odd) * 8 % 1024 == 0
+
+
+@pytest.mark.parametrize(
+    "arguments", [["env=Venture"], ["env=MountainCar", "algo=ppo", "run_dir=x"]]
+)
+def test_bad_input_is_one_line(arguments, tmp_path):
+    command = [sys.executable, "-m", "experiments.bench", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())

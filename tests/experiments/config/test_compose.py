@@ -1,0 +1,239 @@
+import dataclasses
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.config import compose as config
+from experiments.config import schema as options
+from experiments.config import validation as validate
+from experiments.config.schema import Config, ConfigError, PPOConfig
+from sndjax import Hyperparameters
+from sndjax.algorithms import NAMED
+from sndjax.grid import COPYING, OBJECTIVES, SIGNALS
+
+VENTURE = ["env=Venture", "algo=snd_std"]
+
+# The table of intrinsic scales, as published per environment; 0.5 where it is empty.
+ALL = {"rnd": 1, "icm": 1, "sp": 1, "snd_v": 0.5, "qrnd": 0.5, "sp_vic": 0.5, "sp_vinv": 0.5}
+ATARI = ALL | {"snd_vic": 0.25, "snd_vinv": 0.5, "snd_barlow": 0.5, "snd_byol": 0.5}
+PROCGEN = ALL | {"snd_vic": 0.5, "snd_vinv": 0.5}
+ETA = {
+    "MontezumaRevenge": ATARI | {"snd_std": 1},
+    "Gravitar": ATARI | {"snd_std": 1},
+    "Venture": ATARI | {"snd_std": 0.25},
+    "PrivateEye": ATARI | {"snd_std": 0.5},
+    "Pitfall": ATARI | {"snd_std": 1},
+    "Solaris": ATARI | {"snd_std": 0.5},
+    "Climber": PROCGEN | {"snd_std": 1},
+    "Caveflyer": PROCGEN | {"snd_std": 0.5},
+    "Coinrun": PROCGEN | {"snd_std": 0.25},
+    "Jumper": PROCGEN | {"snd_std": 1},
+}
+
+
+@pytest.mark.parametrize("env", ETA)
+def test_every_environment_carries_its_published_settings(env):
+    atari = env in list(ETA)[:6]
+    for algo, eta in ETA[env].items():
+        made = config.load_config([f"env={env}", f"algo={algo}"])
+        assert made.algo.eta == eta
+        assert made.total_steps == (128_000_000 if atari else 64_000_000)
+        assert made.env.id == (f"{env}-v5" if atari else f"{env}Exploration-v0")
+        assert (made.env.stack, made.env.reward) == ((4, "sign") if atari else (2, "raw"))
+        assert made.env.random_action == (0 if atari else 0.01)
+        assert (made.ppo.gamma_ext, made.ppo.ext_weight) == (0.998, 2)
+        assert made.algo.preprocess == ("mean" if algo in ("rnd", "qrnd") else "none")
+        assert made.algo.gradient == ("detached" if algo == "icm" else "symmetric")
+    baseline = config.load_config([f"env={env}", "algo=ppo"])
+    assert baseline.ppo.gamma_ext == (0.998 if env == "Gravitar" else 0.99)
+    assert baseline.ppo.ext_weight == 1
+
+
+def test_the_thesis_configuration_is_the_default():
+    made = config.load_config(VENTURE)
+    assert (made.num_envs, made.rollout_length) == (128, 128)
+    options = made.env.options
+    assert options["repeat_action_probability"] == 0.25
+    assert options["full_action_space"] is True
+    assert options["max_episode_steps"] == 4500
+    assert made.algo.learning_rate == made.ppo.learning_rate == 1e-4
+    assert made.iterations == 7813  # 128M steps rounded up to whole iterations
+
+
+def test_the_laboratory_and_the_library_have_the_same_hyperparameters():
+    ours = {f.name: f.default for f in dataclasses.fields(PPOConfig)}
+    assert ours == Hyperparameters()._asdict()
+    assert {*NAMED, "grid", "module"} == set(validate.group_choices("algo"))
+    assert set(OBJECTIVES) == set(options.OBJECTIVES)
+    assert set(SIGNALS) == set(options.SIGNALS)
+    assert set(options.COPYING) == set(COPYING)
+
+
+def test_a_named_algorithm_records_the_cell_it_is():
+    for name in set(NAMED) - {"ppo"}:
+        made = config.load_config(["env=Jumper", f"algo={name}"]).algo
+        assert made.objective in OBJECTIVES
+        kind = "prediction" if name.startswith(("sp", "icm")) else "distillation"
+        assert made.signal == kind
+
+
+def test_any_cell_can_be_asked_for():
+    made = config.load_config(
+        ["env=Venture", "algo=grid", "algo.objective=barlow_twins", "algo.signal=noveld"]
+    )
+    assert (made.algo.name, made.algo.eta) == ("grid", 0.5)
+    assert (made.algo.objective, made.algo.signal) == ("barlow_twins", "noveld")
+
+
+def test_everything_can_be_overridden():
+    made = config.load_config(
+        [*VENTURE, "ppo.clip=0.2", "algo.eta=2", "seed=7", "env.options.frame_skip=2",
+         "env.options.difficulty=1", "total_steps=1_000"]
+    )  # fmt: skip
+    assert (made.ppo.clip, made.algo.eta, made.seed, made.total_steps) == (0.2, 2.0, 7, 1000)
+    assert made.env.options["frame_skip"] == 2
+    assert made.env.options["difficulty"] == 1
+
+
+def test_any_envpool_task_gets_the_settings_of_its_family():
+    pong = config.load_config(["env=envpool", "env.id=Pong-v5", "algo=rnd"])
+    assert (pong.env.name, pong.env.stack, pong.env.reward) == ("Pong-v5", 4, "sign")
+    maze = config.load_config(["env=envpool", "env.id=MazeExploration-v0", "algo=rnd"])
+    assert (maze.env.stack, maze.env.random_action) == (2, 0.01)
+    pole = config.load_config(["env=envpool", "env.id=CartPole-v1", "algo=rnd"])
+    assert (pole.env.stack, pole.env.reward, pole.env.options) == (1, "raw", {})
+
+
+def test_the_preset_and_the_level_of_the_committed_table():
+    made = config.load_config(["env=CoinrunEasy", "algo=snd_vic", "preset=laptop"])
+    assert made.env.options == {"num_levels": 1, "start_level": 9}
+    assert (made.env.stack, made.env.reward, made.env.random_action) == (1, "raw", 0.01)
+    assert (made.algo.eta, made.algo.reward_scale) == (10, "running_std")
+    assert (made.ppo.learning_rate, made.ppo.clip, made.ppo.episodic_int) == (5e-4, 0.2, False)
+    assert not made.ppo.normalize_advantages
+
+
+def test_a_preset_sets_the_same_for_every_algorithm_and_options_stand_over_it():
+    names = set(validate.group_choices("algo")) - {"ppo", "module", "grid"}
+    load = lambda algo, *more: config.load_config(
+        ["env=Jumper", f"algo={algo}", "preset=laptop", *more]
+    )
+    made = [load(name) for name in names]
+    first = made[0]
+    assert (first.network, first.num_envs, first.total_steps) == ("small", 32, 400_000)
+    for other in made:
+        assert (other.ppo, other.network, other.num_envs) == (first.ppo, "small", 32)
+        assert (other.algo.minibatch_size, other.total_steps) == (256, 400_000)
+    baseline = load("ppo")
+    assert (baseline.algo.eta, baseline.network, baseline.ppo.minibatch_size) == (0, "small", 256)
+    assert load("snd_vic", "num_envs=8", "algo.eta=3").num_envs == 8
+    assert load("snd_vic", "algo.eta=3").algo.eta == 3
+
+
+REFUSED = [
+    ([], "say env=NAME, one of: Caveflyer"),
+    (["env=Venture"], "say algo=NAME, one of: grid, icm"),
+    (["env=Ventur", "algo=rnd"], "did you mean Venture"),
+    (["env=Venture", "algo=snd_vik"], "did you mean snd_vic"),
+    (["env=envpool", "algo=rnd"], "needs a task"),
+    (["env=envpool", "algo=rnd", "env.id=Pnog-v5"], "did you mean Pong-v5"),
+    (["env=envpool", "algo=rnd", "env.id=Pendulum-v1"], "Pendulum-v1 has Box actions"),
+    ([*VENTURE, "nun_envs=3"], "did you mean num_envs"),
+    ([*VENTURE, "learning_rate=1e-3"], "ppo.learning_rate or algo.learning_rate"),
+    ([*VENTURE, "num_envs=0"], "num_envs=0: must be at least 1"),
+    ([*VENTURE, "algo.eta=-0.5"], "algo.eta=-0.5: must be at least 0"),
+    ([*VENTURE, "algo.eta=nan"], "must be finite"),
+    ([*VENTURE, "ppo.clip=0"], "ppo.clip=0.0: must be more than 0"),
+    ([*VENTURE, "ppo.epochs=2.5"], "ppo.epochs"),
+    ([*VENTURE, "ppo.epochs=many"], "ppo.epochs"),
+    ([*VENTURE, "seed=null"], "seed"),
+    ([*VENTURE, "seed=0,1"], "names several values"),
+    ([*VENTURE, "seed=1", "seed=2"], "given twice"),
+    ([*VENTURE, "seed"], "write key=value"),
+    ([*VENTURE, "--config"], "write key=value"),
+    ([*VENTURE, "~seed"], "write key=value"),
+    ([*VENTURE, "env.name=../x"], "env.name"),
+    ([*VENTURE, "algo.reward_scale=running"], "did you mean running_std"),
+    ([*VENTURE, "ppo.minibatch_size=500"], "ppo.minibatch_size=500 does not divide the rollout"),
+    ([*VENTURE, "algo.minibatch_size=500"], "algo.minibatch_size=500 does not divide"),
+    ([*VENTURE, "resume=/nonexistent"], "there is no run"),
+    (["env=Venture", "algo=ppo", "ppo.ext_weight=0"], "nothing to learn from"),
+    (["env=Venture", "algo=ppo", "algo.eta=1"], "no intrinsic reward"),
+    (["env=Venture", "algo=ppo", "algo.signal=e3b"], "algo=ppo has no encoder"),
+    ([*VENTURE, "algo.objective=vicreg"], "algo=snd_std is a cell with its own"),
+    (["env=Venture", "algo=grid", "algo.signal=e3b"], "needs both"),
+    (
+        ["env=Venture", "algo=grid", "algo.signal=novel", "algo.objective=byol"],
+        "did you mean noveld",
+    ),
+    (["env=Venture", "algo=grid", "algo.signal=re3", "algo.objective=vic"], "did you mean vicreg"),
+    (["env=Venture", "algo=icm", "algo.pairing=relu"], "no network that copies"),
+    ([*VENTURE, "algo.gradient=detached"], "no forward loss"),
+    ([*VENTURE, "ppo.published_mask=true"], "algo=ppo alone"),
+    ([*VENTURE, "algo.module=x.py:f"], "goes with algo=module"),
+    (["env=Venture", "algo=module"], "goes with algo=module"),
+    (["env=Venture", "algo.module=x.py"], "write FILE.py:FUNCTION"),
+    (["env=Venture", "algo.module=/no/x.py:f"], "there is no file /no/x.py"),
+    (["env=gymnasium", "algo=rnd"], "env=gymnasium needs a task"),
+    (["env=MiniGrid", "algo=rnd", "env.id=Pong-v5"], "env=MiniGrid is for MiniGrid-"),
+    (["env=MiniGrid", "algo=rnd", "env.id=MiniGrid-X"], "unknown envpool task 'MiniGrid-X'"),
+    (["env=MiniGrid", "algo=rnd"], "env.id=MiniGrid-DoorKey-8x8-v0, say"),
+    (["env=Jumper", "algo=rnd", "preset=labtop"], "did you mean laptop"),
+    ([*VENTURE, "network=tiny"], "network"),
+    ([*VENTURE, "env.id=Pong-v5"], "env=Venture has its own"),
+    ([*VENTURE, "env.suite=gymnasium"], "env=Venture has its own"),
+    (["env=Venture", "algo=ppo", "algo.shuffle=true"], "algo.shuffle: algo=ppo has no intrinsic"),
+    (["env=Venture", "algo=ppo", "ppo.int_weight=2"], "ppo.int_weight: algo=ppo has no intrinsic"),
+    ([*VENTURE, "ppo.ext_weight=0", "ppo.int_weight=0"], "nothing to learn from"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=lambda x: str(x)[-40:])
+def test_bad_input_is_refused_in_one_line_that_helps(arguments, words):
+    with pytest.raises(ConfigError) as refusal:
+        config.load_config(arguments)
+    message = str(refusal.value)
+    assert words in message
+    assert "\n" not in message
+
+
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+KEYS = st.one_of(st.sampled_from([name for name, _ in validate.config_options()]), TEXT)
+VALUES = st.one_of(
+    TEXT,
+    st.integers().map(str),
+    st.floats().map(str),
+    st.sampled_from(["null", "[]", "{}", "${x}", "true"]),
+)
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.lists(st.tuples(KEYS, VALUES), max_size=3))
+def test_no_input_makes_a_traceback(pairs):
+    pairs = [(k, v) for k, v in pairs if k != "env.id"]
+    try:
+        made = config.load_config([*VENTURE, *(f"{k}={v}" for k, v in pairs)])
+    except ConfigError:
+        return
+    assert isinstance(made, Config)
+
+
+def test_help_names_every_environment_algorithm_and_option():
+    text = config.help_text()
+    names = [name for group in validate.ALL_GROUPS for name in validate.group_choices(group)]
+    names += [name for name, _ in validate.config_options()]
+    for name in names:
+        assert f"  {name}" in text
+
+
+def test_jax_is_not_imported_to_refuse_an_input():
+    code = """
+import sys
+from experiments.run import main
+assert main(['env=Venture', 'algo=rnd', 'num_envs=0']) == 2
+assert not {'jax', 'envpool', 'flax'} & set(sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,252 @@
+import random
+import subprocess
+import sys
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sndjax
+from experiments.storage import checkpoints as checkpoint
+from experiments.storage.checkpoints import CheckpointError, Checkpoints, unwrap_key
+from experiments.training.agents import init_states
+from sndjax.algorithms import NAMED
+
+
+def first_state(name, width=16):
+    size = sndjax.VECTOR._replace(features=width, hidden=(8, 8))
+    make = NAMED[name]
+    motivation = sndjax.IntrinsicConfig(make(3, size)) if make else None
+    network = sndjax.ActorCritic(size, 3, 2 if make else 1)
+    agent = sndjax.AgentSpec(network, sndjax.Hyperparameters(), motivation)
+    return init_states(agent, [0, 1], jnp.zeros((4, 2)))
+
+
+def fits(manifest):
+    """Any log will do."""
+
+
+def restore(path, like, fits=fits):
+    """The newest that is whole: its iteration, state, manifest, and what is said of others."""
+    checkpoints = Checkpoints(path)
+    step, manifest, said = checkpoints.find(fits)
+    if step is None:
+        return None
+    return step, checkpoints.load(step, jax.eval_shape(lambda: like)), manifest, said
+
+
+def saved(path, state, steps, returns=()):
+    """Checkpoints of a state that counts its iterations."""
+    checkpoints = Checkpoints(path)
+    for i, step in enumerate(steps):
+        more = {"last100": returns[i] if i < len(returns) else None}
+        checkpoints.save(step, state._replace(iteration=state.iteration + step), more)
+    checkpoints.wait()
+    return checkpoints
+
+
+@pytest.fixture(scope="module")
+def state():
+    return first_state("snd_vic")
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_state_comes_back_bit_for_bit(name, tmp_path):
+    state = first_state(name)
+    assert restore(tmp_path, state) is None
+    saved(tmp_path, state, [1, 2, 3])
+    iteration, restored, manifest, said = restore(tmp_path, state)
+    assert (iteration, manifest["iteration"], said) == (3, 3, [])
+    state = state._replace(iteration=state.iteration + 3)
+    assert jax.tree.structure(state) == jax.tree.structure(restored)
+    for one, other in zip(
+        jax.tree.leaves(unwrap_key(state)), jax.tree.leaves(unwrap_key(restored)), strict=True
+    ):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_state_may_be_used_up_while_it_is_written(state, tmp_path, monkeypatch):
+    go_on, written = threading.Event(), checkpoint.write_tree
+    monkeypatch.setattr(checkpoint, "write", lambda *args: go_on.wait(10) and written(*args))
+    checkpoints = Checkpoints(tmp_path)
+    mine = jax.tree.map(jnp.copy, state)
+    checkpoints.save(0, mine, {})
+    assert checkpoints.newest is None  # it has not waited for the disk
+    for leaf in jax.tree.leaves(mine):
+        leaf.delete()
+    go_on.set()
+    checkpoints.wait()
+    restored = restore(tmp_path, state)[1]
+    for one, other in zip(
+        jax.tree.leaves(unwrap_key(state)), jax.tree.leaves(unwrap_key(restored)), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("returns", "kept"),
+    [
+        ([None] * 5, [4, 5]),
+        ([0.0, 3.0, 1.0, 2.0, 1.0], [2, 4, 5]),
+        ([0.0, 1.0, 1.0, 0.0, 0.0], [3, 4, 5]),  # of two that are best, the newer one
+        ([0.0, 0.0, 0.0, 1.0, 2.0], [4, 5]),
+        ([float("nan"), 1.0, float("inf"), 0.0, 0.0], [2, 4, 5]),
+    ],
+)
+def test_the_newest_two_stay_and_the_best(returns, kept, state, tmp_path):
+    assert saved(tmp_path, state, [1, 2, 3, 4, 5], returns).steps() == kept
+
+
+def test_what_is_beyond_the_one_that_was_gone_on_from_is_removed(state, tmp_path):
+    saved(tmp_path, state, [10, 20])
+    (tmp_path / "checkpoints" / "20" / "manifest.json").write_text("{")
+    checkpoints = Checkpoints(tmp_path)
+    assert checkpoints.find(fits)[0] == 10
+    checkpoints.save(15, state, {})
+    checkpoints.wait()
+    assert checkpoints.steps() == [10, 15]
+
+
+class Bomb:
+    """Would leave a file behind if it were unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+def test_arrays_that_would_execute_something_are_refused(state, tmp_path, monkeypatch):
+    """However well its manifest is made."""
+    saved(tmp_path, state, [1])
+    path, trace = tmp_path / "checkpoints" / "1", tmp_path / "trace"
+    np.savez(path / "arrays.npz", **{"policy": np.array([Bomb(trace)], dtype=object)})
+    monkeypatch.setattr(checkpoint, "verified", lambda path: {})
+    with pytest.raises(CheckpointError, match="allow_pickle=False"):
+        checkpoint.read_tree(path, jax.eval_shape(lambda: unwrap_key(state)))
+    assert not trace.exists()
+
+
+def test_numpy_alone_reads_what_was_written(state, tmp_path):
+    saved(tmp_path, state, [1])
+    archive = np.load(tmp_path / "checkpoints" / "1" / "arrays.npz")
+    assert len(archive.files) == len(jax.tree.leaves(state))
+    written = archive["policy/params/Dense_0/bias"]
+    np.testing.assert_array_equal(written, state.policy["params"]["Dense_0"]["bias"])
+
+
+def every_file(path):
+    return sorted(p for p in path.rglob("*") if p.is_file() and p.stat().st_size)
+
+
+def test_one_flipped_bit_anywhere_is_found_and_the_one_before_taken(state, tmp_path):
+    saved(tmp_path, state, [1, 2])
+    draw = random.Random(0)
+    for file in every_file(tmp_path / "checkpoints" / "2"):
+        whole = file.read_bytes()
+        for _ in range(20):
+            flipped = bytearray(whole)
+            flipped[draw.randrange(len(whole))] ^= 1 << draw.randrange(8)
+            file.write_bytes(flipped)
+            iteration, _, _, said = restore(tmp_path, state)
+            assert iteration == 1, file
+            assert len(said) == 1
+            assert "checkpoint 2 cannot be used" in said[0]
+        file.write_bytes(whole)
+    assert restore(tmp_path, state)[0] == 2
+
+
+def test_a_missing_file_a_cut_one_and_a_log_that_does_not_fit_are_found(state, tmp_path):
+    saved(tmp_path, state, [1, 2])
+    for file in every_file(tmp_path / "checkpoints" / "2"):
+        whole = file.read_bytes()
+        for harm in (file.unlink, lambda file=file, whole=whole: file.write_bytes(whole[:-1])):
+            harm()
+            assert restore(tmp_path, state)[0] == 1, file
+            file.write_bytes(whole)
+
+    def newer_does_not_fit(manifest):
+        if manifest["iteration"] == 2:
+            raise ValueError("metrics.jsonl is not what was written")
+
+    iteration, _, _, said = restore(tmp_path, state, newer_does_not_fit)
+    assert iteration == 1
+    assert "metrics.jsonl is not what was written" in said[0]
+
+
+def test_none_that_can_be_used_is_an_error_and_not_a_fresh_start(state, tmp_path):
+    saved(tmp_path, state, [1, 2])
+    for step in "12":
+        (tmp_path / "checkpoints" / step / "manifest.json").unlink()
+    with pytest.raises(CheckpointError, match=r"checkpoint 2.*checkpoint 1"):
+        restore(tmp_path, state)
+
+
+def test_one_with_the_state_of_another_iteration_is_refused(state, tmp_path):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(7, state, {})
+    checkpoints.wait()
+    with pytest.raises(CheckpointError, match="of another iteration"):
+        restore(tmp_path, state)
+
+
+def test_a_directory_that_is_no_number_is_none_of_them(state, tmp_path):
+    saved(tmp_path, state, [1])
+    for name in ("\u00b2", "-3", "1.5", "x"):
+        (tmp_path / "checkpoints" / name).mkdir()
+    assert Checkpoints(tmp_path).steps() == [1]
+
+
+def test_one_of_other_shapes_is_refused(state, tmp_path):
+    saved(tmp_path, state, [1])
+    with pytest.raises(CheckpointError, match=r"float32\[2, .*16.*\], not float32\[2, .*12"):
+        restore(tmp_path, first_state("snd_vic", width=12))
+
+
+def test_what_was_killed_while_it_was_written_is_no_checkpoint(state, tmp_path, monkeypatch):
+    saved(tmp_path, state, [1])
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoint, "settle", killed)
+    with pytest.raises(KeyboardInterrupt):
+        checkpoint.write_tree(tmp_path / "checkpoints" / "2", {"a": np.ones(3)}, {})
+    assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["1"]
+
+
+def test_a_write_that_fails_is_told_at_the_next_one(state, tmp_path, monkeypatch):
+    checkpoints = saved(tmp_path, state, [1])
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoint, "settle", full)
+    checkpoints.save(2, state, {})
+    with pytest.raises(OSError, match=r"No space left.*that of iteration 1 stands"):
+        checkpoints.wait()
+    monkeypatch.undo()
+    assert restore(tmp_path, state)[0] == 1
+
+
+@pytest.mark.survival
+def test_writing_checkpoints_stops_taking_memory(tmp_path):
+    code = f"""
+from pathlib import Path
+import numpy as np
+from experiments.storage.checkpoints import write
+from experiments.system.process import rss_mb
+tree = {{f"a{{i}}": np.random.default_rng(i).normal(size=(64, 64)) for i in range(60)}}
+for k in range(601):
+    write(Path({str(tmp_path)!r}) / str(k % 3), tree, {{}})
+    if k % 100 == 0:
+        print(rss_mb())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    memory = [float(line) for line in done.stdout.split()]
+    print("MB after every hundred checkpoints:", *(f"{value:.0f}" for value in memory))
+    assert memory[-1] < 1.02 * memory[-4]

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from handmade import made
+
+from experiments.storage.read_runs import find_runs, group_runs, read_run
+
+CAR = ["env=MountainCar", "algo=rnd", "num_seeds=2"]
+EPISODES = {0: [(64, 0.0, 0.0), (128, 1.0, 2.0)], 1: [(32, 1.0, 1.0)]}
+
+
+def test_a_run_is_read_by_seed(tmp_path):
+    run = read_run(made(tmp_path / "a", CAR, EPISODES, {0: [0.5, 0.25], 1: [0.5, None]}))
+    first, second = run.seeds
+    np.testing.assert_array_equal(first.episodes["ext_return"], [0, 1])
+    np.testing.assert_array_equal(second.episodes["step"], [32])
+    np.testing.assert_array_equal(first.metrics["step"], [128, 256])
+    np.testing.assert_array_equal(second.metrics["int_reward_mean"], [0.5, np.nan])
+    assert run.steps == 256
+
+
+def test_a_half_written_line_is_left_out_and_named(tmp_path):
+    path = made(tmp_path / "a", CAR, EPISODES)
+    for name, text in (("metrics.jsonl", '{"step": 3'), ("episodes.csv", "1,99,10,1")):
+        with (path / name).open("a") as file:
+            file.write(text)
+    (run,), left_out = find_runs([tmp_path])
+    assert [len(seed.metrics["step"]) for seed in run.seeds] == [2, 2]
+    assert len(run.seeds[1].episodes["step"]) == 1
+    assert [why for _, why in left_out] == [
+        "the last line of metrics.jsonl is half written and left out",
+        "the last line of episodes.csv is half written and left out",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "why"),
+    [
+        ("metrics.jsonl", "no json\n", "line 1 of metrics.jsonl"),
+        ("metrics.jsonl", "[1]\n", "line 1 of metrics.jsonl"),
+        ("metrics.jsonl", "", "no iteration"),
+        ("episodes.csv", "", "empty"),
+        ("episodes.csv", "seed,step\n", "other columns"),
+        ("episodes.csv", "seed,step\n1\n", "does not fit"),
+        ("episodes.csv", "seed,step\n1\0" + 200_000 * "x" + "\n", "does not fit"),
+        ("config.yaml", "- 1\n", "no configuration"),
+        ("config.yaml", "\0", "cannot be read"),
+    ],
+)
+def test_what_cannot_be_read_is_left_out_by_name(tmp_path, name, text, why):
+    made(tmp_path / "good", CAR, EPISODES)
+    (made(tmp_path / "bad", CAR, EPISODES) / name).write_text(text)
+    runs, ((path, said),) = find_runs([tmp_path])
+    assert [run.path.name for run in runs] == ["good"]
+    assert path.name == "bad"
+    assert why in said
+
+
+def test_directories_without_runs(tmp_path):
+    made(tmp_path / "a", CAR, EPISODES)
+    (tmp_path / "empty").mkdir()
+    places = [tmp_path / "a", tmp_path, tmp_path / "empty", tmp_path / "none"]
+    runs, left_out = find_runs(places)
+    assert len(runs) == 1  # given twice, read once
+    assert [why for _, why in left_out] == ["no run in it", "there is no such directory"]
+
+
+def test_seeds_go_together_and_settings_do_not(tmp_path):
+    made(tmp_path / "a", CAR, EPISODES)
+    made(tmp_path / "b", ["env=MountainCar", "algo=rnd", "seed=5"], {5: EPISODES[0]})
+    made(tmp_path / "c", [*CAR, "algo.eta=3"], EPISODES)
+    made(tmp_path / "d", ["env=MountainCar", "algo=ppo"], {0: EPISODES[0]})
+    groups = group_runs(find_runs([tmp_path])[0])
+    found = {group.name: [seed.seed for seed in group.seeds] for group in groups}
+    assert found.pop("rnd (eta=3.0)") == [0, 1]
+    assert found.pop("ppo") == [0]
+    ((name, seeds),) = found.items()
+    assert name.startswith("rnd (eta=")
+    assert sorted(seeds) == [0, 1, 5]

@@ -1,0 +1,130 @@
+import json
+import math
+
+import pytest
+
+from experiments.storage.episodes import Episode
+from experiments.storage.run_logs import RunLogs, check_logs
+
+ENTRY = {
+    "iteration": 1,
+    "step": 8,
+    "transitions": 7,
+    "frames": 32,
+    "loss": 0.5,
+    "wall_seconds": 2.0,
+}
+
+
+def filled(path, iterations=3, marked=0):
+    """Records of some iterations, and their manifest as it was after one of them."""
+    path.mkdir(exist_ok=True)
+    records, manifest = RunLogs(path, [4, 5], rooms=True, marks={}), None
+    for k in range(1, iterations + 1):
+        for i in range(2):
+            ended = [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)]
+            line = ENTRY | {"iteration": k, "step": 8 * k, "transitions": 7 * k}
+            records.transitions[i] = 7 * k
+            records.wall_seconds = line["wall_seconds"] = 2.0 * k
+            records.take_in(i, ended, dict(line))
+        records.flush()
+        if k == marked:
+            manifest = records.manifest()
+    return (records, manifest) if marked else records
+
+
+def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
+    records = filled(tmp_path)
+    line = records.take_in(0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf})
+    records.flush()
+    records.close()
+    assert line["loss"] is None
+    assert line["ext_return"] is None
+    lines = [json.loads(x) for x in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    assert lines[0]["seed"] == 4
+    assert lines[0]["ext_return"] == 1
+    assert lines[-1]["other"] is None
+    rows = (tmp_path / "episodes.csv").read_text().splitlines()
+    assert rows[0] == "seed,step,length,ext_return,score,int_return,rooms"
+    assert rows[1] == "4,8,3,1.0,10.0,0.1,2"
+    assert any((tmp_path / "tensorboard" / "seed_5").iterdir())
+
+
+def test_a_reward_that_is_not_finite_is_null_in_every_file(tmp_path):
+    records = filled(tmp_path)
+    worse = Episode(4, 32, 3, math.nan, math.inf, 0.1, 2)
+    line = records.take_in(0, [worse], ENTRY | {"step": 32})
+    assert (line["ext_return"], line["score"], line["last100_ext_return"]) == (None, None, None)
+    records.flush()
+    records.summarize(32)
+
+    def strict(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    figures = json.loads((tmp_path / "summary.json").read_text(), parse_constant=strict)
+    assert figures["seeds"][0]["mean_ext_return"] is None
+    assert figures["seeds"][1]["mean_ext_return"] == 2
+    manifest = records.manifest()
+    assert manifest["last100"] is None
+    records.close()
+    again = RunLogs(tmp_path, [4, 5], rooms=True, marks=manifest["logs"])
+    assert math.isnan(again.summaries[0].last100)
+
+
+def test_summary_is_one_object_a_seed(tmp_path):
+    records = filled(tmp_path)
+    records.summarize(24)
+    seeds = json.loads((tmp_path / "summary.json").read_text())["seeds"]
+    assert seeds[1] == {
+        "seed": 5,
+        "steps": 24,
+        "episodes": 3,
+        "mean_ext_return": 2.0,
+        "max_ext_return": 3.0,
+        "max_score": 30.0,
+        "last100_ext_return": 2.0,
+        "wall_seconds": 6.0,
+    }
+
+
+def test_going_on_from_a_checkpoint_cuts_what_came_after_it_and_counts_what_was_before(tmp_path):
+    whole = filled(tmp_path / "a", 4)
+    whole.summarize(32)
+    killed, manifest = filled(tmp_path / "b", 3, marked=2)
+    assert manifest["last100"] == 1.5
+    killed.close()
+    with (tmp_path / "b" / "metrics.jsonl").open("a") as file:
+        file.write('{"step": 8, "se')  # killed while writing
+    with (tmp_path / "b" / "episodes.csv").open("a") as file:
+        file.write("4,8")
+    records = RunLogs(tmp_path / "b", [4, 5], rooms=True, marks=manifest["logs"])
+    assert records.transitions == [14, 14]
+    assert records.wall_seconds == 4.0
+    for k in (3, 4):
+        for i in range(2):
+            line = ENTRY | {"iteration": k, "step": 8 * k, "transitions": 7 * k}
+            line["wall_seconds"] = records.wall_seconds = 2.0 * k
+            records.take_in(i, [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)], line)
+    records.flush()
+    records.summarize(32)
+    for name in ("metrics.jsonl", "episodes.csv", "summary.json"):
+        assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
+
+
+def test_logs_that_were_changed_before_the_checkpoint_do_not_fit_it(tmp_path):
+    records, manifest = filled(tmp_path / "a", 3, marked=2)
+    records.close()
+    check_logs(tmp_path / "a", [4, 5], manifest["logs"])
+    with pytest.raises(ValueError, match=r"of another run"):
+        check_logs(tmp_path / "a", [4], manifest["logs"])
+    path = tmp_path / "a" / "episodes.csv"
+    path.write_text(path.read_text().replace("5,8,3,1.0", "5,8,3,9.0"))
+    with pytest.raises(ValueError, match=r"episodes.csv is not what was written"):
+        check_logs(tmp_path / "a", [4, 5], manifest["logs"])
+
+
+def test_without_a_checkpoint_the_logs_begin_again(tmp_path):
+    filled(tmp_path / "a", 3).close()
+    RunLogs(tmp_path / "a", [4, 5], rooms=True, marks={}).close()
+    assert (tmp_path / "a" / "metrics.jsonl").read_text() == ""
+    assert len((tmp_path / "a" / "episodes.csv").read_text().splitlines()) == 1

@@ -1,0 +1,45 @@
+"""Read back with tensorboardX's own records: no other reader is among the requirements."""
+
+import struct
+
+from tensorboardX.proto.event_pb2 import Event
+
+from experiments.storage.tensorboard import TensorBoardWriter
+
+
+def events(path):
+    (file,) = path.iterdir()
+    data, at, found = file.read_bytes(), 0, []
+    while at < len(data):
+        (length,) = struct.unpack_from("<Q", data, at)
+        found.append(Event.FromString(data[at + 12 : at + 12 + length]))
+        at += 12 + length + 4
+    return found
+
+
+def line(step, seed=4):
+    return {"step": step, "seed": seed, "episodes": 1, "loss": 0.5 * step, "ext_return": None}
+
+
+def test_every_fraction_is_a_scalar_of_its_seed(tmp_path):
+    boards = TensorBoardWriter(tmp_path, [4, 5])
+    boards.add(line(8), 100.0)
+    boards.add(line(8, 5), 100.0)
+    boards.close()
+    first, start, event = events(tmp_path / "seed_5")
+    assert first.file_version == "brain.Event:2"
+    assert start.session_log.status == 1  # START
+    assert (event.step, event.wall_time) == (8, 100.0)
+    assert [(v.tag, v.simple_value) for v in event.summary.value] == [("loss", 4.0)]
+
+
+def test_a_run_that_goes_on_has_one_branch(tmp_path):
+    boards = TensorBoardWriter(tmp_path, [4])
+    boards.add(line(8), 1.0)
+    boards.add(line(16), 2.0)
+    boards.flush()  # and is killed
+    again = TensorBoardWriter(tmp_path, [4])
+    again.add(line(8), 1.0)
+    again.add(line(16), 3.0)
+    again.close()
+    assert [event.step for event in events(tmp_path / "seed_4")[2:]] == [8, 16]

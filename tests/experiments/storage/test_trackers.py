@@ -1,0 +1,121 @@
+"""What trackers are told, read back from their own stores."""
+
+import json
+import os
+import signal
+
+import pytest
+from test_run import CAR, lines, run, start
+
+from experiments.config.compose import load_config
+from experiments.config.schema import ConfigError
+from experiments.storage.trackers import TOLD, Tracker
+
+MINE = [*CAR, "algo=snd_vic", "algo.minibatch_size=64", "tracker=mlflow", "group=swept"]
+
+
+def stored(tmp_path):
+    """MLflow's runs by name, with the history of one figure."""
+    from mlflow import MlflowClient
+
+    client = MlflowClient(tracking_uri=(tmp_path / "mlruns").as_uri())
+    experiment = client.get_experiment_by_name("swept")
+    assert experiment is not None
+    found = {}
+    for one in client.search_runs([experiment.experiment_id]):
+        history = client.get_metric_history(one.info.run_id, "entropy")
+        steps = sorted((metric.step, metric.value) for metric in history)
+        found[one.info.run_name] = (one.info.status, one.data.params, steps)
+    return found
+
+
+def test_mlflow_holds_every_line_once_though_the_run_was_killed(tmp_path, monkeypatch):
+    pytest.importorskip("mlflow")
+    monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")
+    path = tmp_path / "run"
+    more = ["num_seeds=2", "total_steps=4000", "checkpoint_every=3", f"run_dir={path}"]
+    with start([*MINE, *more], tmp_path) as process:
+        for line in process.stdout:
+            if line.startswith("step 1,5"):
+                break
+        os.kill(process.pid, signal.SIGKILL)
+    status, _, err = run([*MINE, *more, "resume=auto"], tmp_path)
+    assert status == 0, err
+    for seed in (0, 1):
+        state, params, steps = stored(tmp_path)[f"MountainCar/snd_vic/{seed}"]
+        assert state == "FINISHED"
+        assert params["seed"] == str(seed)
+        assert params["algo.name"] == "snd_vic"
+        own = [(x["step"], x["entropy"]) for x in lines(path) if x["seed"] == seed]
+        assert steps == own
+
+
+def test_wandb_keeps_a_run_for_every_seed_on_this_machine(tmp_path, monkeypatch):
+    pytest.importorskip("wandb")
+    monkeypatch.setenv("WANDB_DIR", str(tmp_path))
+    arguments = [*CAR, "algo=ppo", "tracker=wandb", "num_seeds=2", "total_steps=256"]
+    status, _, err = run([*arguments, f"run_dir={tmp_path / 'run'}"], tmp_path)
+    assert status == 0, err
+    found = sorted(tmp_path.glob("wandb/offline-run-*/run-*.wandb"))
+    assert len(found) == 2
+    assert {path.stem[-1] for path in found} == {"0", "1"}
+    told = json.loads((tmp_path / "run" / TOLD).read_text())
+    assert told["told"] == {"0": 2, "1": 2}
+
+
+class Broken:
+    def log(self, seed, lines):
+        raise RuntimeError("it is down")
+
+    def close(self, finished):
+        raise RuntimeError("it is still down")
+
+
+def test_a_tracker_that_breaks_is_told_no_more_and_nothing_else_happens(tmp_path):
+    config = load_config(["env=MountainCar", "algo=ppo"])
+    tracker = Tracker(config, tmp_path)
+    tracker.service = Broken()
+    line = {"iteration": 1, "seed": 0, "step": 4, "entropy": 1.0}
+    tracker.take_in([line])
+    assert "it is down" in tracker.tell(1)
+    tracker.take_in([line])
+    assert tracker.tell(2) == ""
+    tracker.close(finished=True)
+    tracker.broken = False
+    tracker.close(finished=True)
+
+
+def test_a_run_that_is_opened_again_before_anything_was_told_is_the_same_run(tmp_path, monkeypatch):
+    pytest.importorskip("mlflow")
+    monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")
+    monkeypatch.chdir(tmp_path)
+    config = load_config(["env=MountainCar", "algo=ppo", "tracker=mlflow", "group=swept"])
+    for _ in range(3):
+        Tracker(config, tmp_path)
+    from mlflow import MlflowClient
+
+    client = MlflowClient(tracking_uri=(tmp_path / "mlruns").as_uri())
+    assert len(client.search_runs([client.get_experiment_by_name("swept").experiment_id])) == 1
+
+
+class Kept(list):
+    def log(self, seed, lines):
+        self.extend((seed, line["iteration"]) for line in lines)
+
+
+def test_a_line_is_told_once_its_checkpoint_stands(tmp_path):
+    tracker = Tracker(load_config(["env=MountainCar", "algo=ppo"]), tmp_path)
+    tracker.service = kept = Kept()
+    tracker.take_in([{"iteration": i, "seed": 0, "step": i} for i in (1, 2, 3)])
+    tracker.tell(None)
+    assert kept == []
+    tracker.tell(2)
+    assert kept == [(0, 1), (0, 2)]
+    tracker.tell(3)
+    assert kept == [(0, 1), (0, 2), (0, 3)]
+
+
+def test_a_tracker_that_is_not_installed_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "wandb", None)
+    with pytest.raises(ConfigError, match=r"pip install '\.\[wandb\]'"):
+        Tracker(load_config(["env=MountainCar", "algo=ppo", "tracker=wandb"]), tmp_path)

@@ -1,0 +1,35 @@
+"""What a cell's run is given of the machine."""
+
+import pytest
+
+from experiments.sweeps import job_runner as work
+from experiments.sweeps.job_runner import JobRunner, failure_reason, visible_gpus
+
+
+@pytest.mark.parametrize(
+    ("shown", "names"),
+    [("6,7", ("6", "7")), ("-1", ()), ("", ()), ("GPU-a, GPU-b,-1,0", ("GPU-a", "GPU-b"))],
+)
+def test_gpus_go_by_the_names_that_the_process_may_use(shown, names, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", shown)
+    assert visible_gpus() == names
+
+
+def test_two_cells_have_two_gpus_and_a_third_shares_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(work.tempfile, "gettempdir", lambda: str(tmp_path))
+    own = JobRunner(str(tmp_path), str(tmp_path), 0, (), 1, ("6", "7"))
+    with own.device() as first, own.device() as second, own.device() as third:
+        names = [device["CUDA_VISIBLE_DEVICES"] for device in (first, second, third)]
+    assert names[:2] == ["6", "7"]
+    assert names[2] in ("6", "7")
+    for device in (first, second, third):  # or the first would leave the third a quarter of one
+        assert device["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
+    with JobRunner(str(tmp_path), str(tmp_path), 0, (), 1, ()).device() as none:
+        assert none == {}
+
+
+def test_the_reason_of_an_end_is_the_runs_own_word():
+    assert failure_reason(["step 1", "sndjax: entropy is nan", "and more"], 1) == "entropy is nan"
+    assert failure_reason(["Traceback", "KeyError: 3"], 1) == "KeyError: 3"
+    assert failure_reason([], 7) == "exit status 7"
+    assert failure_reason(["sndjax: fine"], -9) == "killed by SIGKILL"

@@ -1,0 +1,102 @@
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from experiments.system.interrupts import Interrupted, Interrupts
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_waits_for_a_safe_point(number):
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        os.kill(os.getpid(), number)
+        time.sleep(0.01)  # nothing is raised here
+        with pytest.raises(Interrupted) as stopped:
+            interrupts.check()
+    assert stopped.value.status == 128 + number
+
+
+def test_a_wait_is_broken_off_at_once():
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        begun = time.monotonic()
+        with pytest.raises(Interrupted), interrupts.waiting():
+            threading.Event().wait(10)
+        assert time.monotonic() - begun < 5
+        with pytest.raises(Interrupted), interrupts.waiting():
+            raise AssertionError("a signal that came before is not waited for")
+
+
+def test_a_wait_may_end_within_its_grace_and_is_broken_off_after_it():
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        with interrupts.waiting(5):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.2)  # it ends by itself: its result is kept
+        with pytest.raises(Interrupted):
+            interrupts.check()
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        begun = time.monotonic()
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        with pytest.raises(Interrupted), interrupts.waiting(0.3):
+            threading.Event().wait(10)
+        assert 0.25 < time.monotonic() - begun < 5
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_before_it_begins_a_signal_ends_the_process(number):
+    """Also where an exception would be swallowed."""
+    code = (
+        "import os, signal, time\nfrom experiments.interrupts import Interrupts\n"
+        "class Loud:\n    def __del__(self):\n"
+        f"        os.kill(os.getpid(), {int(number)}); time.sleep(1)\n"
+        "with Interrupts():\n    Loud(); print('went on')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + number
+    assert done.stdout == ""
+    assert done.stderr == "sndjax: interrupted before the first step\n"
+
+
+def test_an_exception_that_is_swallowed_in_a_wait_is_raised_again(capfd):
+    class Slow:
+        def __del__(self):
+            time.sleep(0.5)  # what is raised in here goes nowhere
+
+    def del_slowly_and_wait():
+        Slow()
+        threading.Event().wait(20)
+
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        begun = time.monotonic()
+        with pytest.raises(Interrupted), interrupts.waiting():
+            del_slowly_and_wait()
+        assert time.monotonic() - begun < 10
+    assert capfd.readouterr().err == ""
+
+
+def test_a_second_signal_breaks_a_wait_off_at_once():
+    with Interrupts() as interrupts:
+        interrupts.begin()
+        for delay in (0.1, 0.3):
+            threading.Timer(delay, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        begun = time.monotonic()
+        with pytest.raises(Interrupted), interrupts.waiting(20):
+            threading.Event().wait(20)
+        assert time.monotonic() - begun < 10
+
+
+def test_handlers_are_put_back():
+    before = signal.getsignal(signal.SIGINT)
+    with Interrupts():
+        assert signal.getsignal(signal.SIGINT) != before
+    assert signal.getsignal(signal.SIGINT) == before

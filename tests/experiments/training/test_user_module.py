@@ -1,0 +1,38 @@
+import jax.numpy as jnp
+import pytest
+
+from experiments.config.schema import ConfigError
+from experiments.training.user_module import load_module
+from sndjax import VECTOR, IntrinsicModule
+
+GOOD = """
+import sndjax
+
+def mine(num_actions, size):
+    return sndjax.grid("vicreg", "re3", num_actions, size)
+"""
+
+
+def test_the_functions_module_is_returned(tmp_path):
+    (tmp_path / "b.py").write_text(GOOD)
+    made = load_module(f"{tmp_path}/b.py:mine", 3, VECTOR)
+    assert isinstance(made, IntrinsicModule)
+    assert jnp.zeros(()) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x = 1", "has no function mine"),
+        ("def mine(n, size): return 3", "must return an sndjax.IntrinsicModule, not int"),
+        ("def mine(n): return 3", "TypeError"),
+        ("def mine(n, size):\n    return 1 / 0", "ZeroDivisionError in line 2: division by zero"),
+        ("def mine(:", "SyntaxError"),
+        ("import sys\nsys.exit(0)", "SystemExit in line 2"),
+        ("import no_such_package", "no_such_package"),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_in_one_line(text, words, tmp_path):
+    (tmp_path / "b.py").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        load_module(f"{tmp_path}/b.py:mine", 3, VECTOR)
