@@ -27,6 +27,7 @@ from sndjax.algorithms import (
 )
 from sndjax.grid import ObjectiveRecipe, make_module, make_module_from_recipe
 from sndjax.guard import all_finite, skip_nonfinite
+from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.module import make_intrinsic_module
 from sndjax.networks import (
     ATARI,
@@ -46,6 +47,7 @@ from sndjax.objectives.st_dim import st_dim, st_dim_loss
 from sndjax.objectives.vicreg import vicreg, vicreg_loss
 from sndjax.objectives.vicreg_inverse import vicreg_inverse
 from sndjax.ppo import Hyperparameters, clipped_surrogate
+from sndjax.protocols import Encode, EncoderView, Objective, Signal, TargetNetwork
 from sndjax.returns import generalized_advantage
 from sndjax.rollout import FrameStack, gather_transitions, slice_transitions
 from sndjax.scaling import scale_reward
@@ -60,22 +62,16 @@ from sndjax.signals.simhash import simhash
 from sndjax.statistics import masked_mean
 from sndjax.train import init_train_state, make_train_step
 from sndjax.types import (
-    Encode,
-    EncoderView,
     Experience,
     Features,
-    IntrinsicModule,
     Loss,
     ModuleParams,
     ModuleState,
-    Objective,
     Params,
     ReturnStatistics,
     Rollout,
     RunningStatistics,
-    Signal,
     State,
-    TargetNetwork,
     TrainState,
     Transition,
 )
@@ -84,40 +80,39 @@ from sndjax.weighted_sum import weighted_sum
 
 __all__ = [
     "ALGORITHMS",
-    "Encode",
-    "Loss",
-    "ModuleParams",
-    "ModuleState",
-    "Params",
-    "State",
-    "make_named",
     "ATARI",
+    "MLP",
     "PROCGEN",
     "SMALL",
     "VECTOR",
+    "ActOutput",
     "Actor",
     "ActorCritic",
     "AgentSpec",
     "Architecture",
-    "TargetNetwork",
-    "ActOutput",
+    "Encode",
     "Encoder",
+    "EncoderView",
     "Experience",
     "Features",
+    "FrameStack",
     "Hyperparameters",
-    "IntrinsicModule",
-    "RunningStatistics",
     "IntrinsicConfig",
+    "IntrinsicModule",
+    "Loss",
+    "ModuleParams",
+    "ModuleState",
     "Objective",
-    "MLP",
     "ObjectiveRecipe",
+    "Params",
     "ReturnStatistics",
     "Rollout",
+    "RunningStatistics",
     "Signal",
-    "FrameStack",
+    "State",
+    "TargetNetwork",
     "TrainState",
     "Transition",
-    "EncoderView",
     "__version__",
     "act",
     "all_finite",
@@ -125,10 +120,7 @@ __all__ = [
     "barlow_twins_loss",
     "byol",
     "byol_distance",
-    "make_module_from_recipe",
     "clipped_surrogate",
-    "make_intrinsic_module",
-    "slice_transitions",
     "contrastive",
     "contrastive_loss",
     "disagreement",
@@ -138,12 +130,16 @@ __all__ = [
     "e3b",
     "elliptical_bonus",
     "ensemble_variance",
+    "gather_transitions",
     "generalized_advantage",
-    "make_module",
     "icm",
     "init_train_state",
     "inverse_dynamics",
     "inverse_dynamics_loss",
+    "make_intrinsic_module",
+    "make_module",
+    "make_module_from_recipe",
+    "make_named",
     "make_train_step",
     "masked_mean",
     "neighbour_distance",
@@ -159,6 +155,7 @@ __all__ = [
     "scale_reward",
     "simhash",
     "skip_nonfinite",
+    "slice_transitions",
     "snd_barlow",
     "snd_byol",
     "snd_std",
@@ -170,7 +167,6 @@ __all__ = [
     "sp_vinv",
     "st_dim",
     "st_dim_loss",
-    "gather_transitions",
     "vicreg",
     "vicreg_inverse",
     "vicreg_loss",

@@ -9,11 +9,12 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax import ppo
+from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.networks import ActorCritic
 from sndjax.rollout import FrameStack, push_frame, stack_to_channels
 from sndjax.scaling import RewardScale
 from sndjax.statistics import std
-from sndjax.types import IntrinsicModule, Params, RunningStatistics
+from sndjax.types import Params, RunningStatistics
 
 
 class IntrinsicConfig(NamedTuple):

@@ -11,8 +11,8 @@ from typing import Any
 
 from sndjax.algorithm_table import ALGORITHMS
 from sndjax.grid import OBJECTIVES, make_module_from_recipe
+from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.networks import ATARI, Architecture
-from sndjax.types import IntrinsicModule
 
 
 def make_named(

@@ -11,11 +11,12 @@ from typing import Any, Literal, NamedTuple
 
 from sndjax import objectives, signals
 from sndjax.convolution import Convolution
+from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.module import make_intrinsic_module
 from sndjax.networks import ATARI, ROOT_2, Architecture, Encoder
 from sndjax.preprocessing import Preprocess
+from sndjax.protocols import Objective, Signal
 from sndjax.signals.prediction import Gradient
-from sndjax.types import IntrinsicModule, Objective, Signal
 
 # "elu" or "relu" throughout; "published": what the experiments ran, see `ObjectiveRecipe`.
 Activation = Literal["elu", "relu", "published"]

@@ -1,6 +1,7 @@
 """An encoder, an objective and a signal make an intrinsic module: one cell of the grid."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -9,8 +10,10 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.convolution import to_float
+from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.networks import Encoder
 from sndjax.preprocessing import Preprocess, make_preprocess
+from sndjax.protocols import EncoderView, Objective, Signal, TargetNetwork
 from sndjax.rollout import zero_invalid_rows
 from sndjax.statistics import (
     feature_std_over_batch,
@@ -18,17 +21,12 @@ from sndjax.statistics import (
     update_running_statistics,
 )
 from sndjax.types import (
-    EncoderView,
     Features,
-    IntrinsicModule,
     Loss,
     ModuleParams,
     ModuleState,
-    Objective,
     Params,
     Rollout,
-    Signal,
-    TargetNetwork,
     TargetWeights,
     Transition,
 )
@@ -98,46 +96,12 @@ def make_intrinsic_module(
     """
     parts = Parts(encoder, objective, signal, num_actions, preprocess, weights)
 
-    def init(
-        key: PRNGKeyArray, example: Shaped[Array, "N *frame"]
-    ) -> tuple[ModuleParams, ModuleState]:
-        return init_module(parts, key, example)
-
-    def reward(
-        params: ModuleParams,
-        state: ModuleState,
-        rollout: Rollout,
-        key: PRNGKeyArray,
-        update_statistics: bool = True,
-    ) -> tuple[Float[Array, "T N"], ModuleState]:
-        return module_reward(parts, params, state, rollout, key, update_statistics)
-
-    def loss(
-        params: ModuleParams,
-        state: ModuleState,
-        batch: Transition,
-        rollout: Rollout,
-        key: PRNGKeyArray,
-    ) -> Loss:
-        return module_loss(parts, params, state, batch, rollout, key)
-
-    def update(params: ModuleParams, state: ModuleState) -> ModuleState:
-        return update_target(parts, params, state)
-
-    def features(
-        params: ModuleParams,
-        state: ModuleState,
-        frames: Shaped[Array, "B *frame"],
-        action: Int[Array, " B"] | None = None,
-    ) -> Float[Array, "B d"]:
-        return view_encoder(parts, params, state).encode(frames, action)[0]
-
     return IntrinsicModule(
-        init=init,
-        reward=reward,
-        loss=loss,
-        update=update,
-        features=features,
+        init=partial(init_module, parts),
+        reward=partial(module_reward, parts),
+        loss=partial(module_loss, parts),
+        update=partial(update_target, parts),
+        features=partial(module_features, parts),
         has_published_scale=signal.has_published_scale,
         description=f"objective={objective!r}, signal={signal!r}, preprocess={preprocess!r}",
     )
@@ -159,14 +123,13 @@ def init_module(
     encoder = parts.encoder.init(key_encoder, frame, action)
     z, local = apply_encoder(parts.encoder, encoder, frame, action)
     features = Features(z=z, z_next=z, local=local, local_next=local)
-    trained = objective is not None
     own = objective.init(key_objective, features, parts.num_actions) if objective else None
     signal, signal_state = parts.signal.init(key_signal, example, features, parts.num_actions)
-    params = ModuleParams(encoder=encoder if trained else None, objective=own, signal=signal)
-    moving = parts.preprocess != "none"
+    params = ModuleParams(encoder=encoder if objective else None, objective=own, signal=signal)
+    moments = None if parts.preprocess == "none" else init_running_statistics(frame.shape[1:])
     return params, ModuleState(
-        encoder=None if trained else encoder,
-        moments=init_running_statistics(frame.shape[1:]) if moving else None,
+        encoder=None if objective else encoder,
+        moments=moments,
         signal=signal_state,
         slow=None if parts.ema_decay is None else TargetWeights(params.encoder, params.objective),
     )
@@ -218,7 +181,7 @@ def module_reward(
     state: ModuleState,
     rollout: Rollout,
     key: PRNGKeyArray,
-    update_statistics: bool,
+    update_statistics: bool = True,
 ) -> tuple[Float[Array, "T N"], ModuleState]:
     """Return the signal of every row, 0 at invalid rows, and the new state.
 
@@ -316,3 +279,22 @@ def update_target(parts: Parts, params: ModuleParams, state: ModuleState) -> Mod
     online = TargetWeights(params.encoder, params.objective)
     average = lambda target, now: decay * target + (1 - decay) * now
     return state._replace(slow=jax.tree.map(average, state.slow, online))
+
+
+def module_features(
+    parts: Parts,
+    params: ModuleParams,
+    state: ModuleState,
+    frames: Shaped[Array, "B *frame"],
+    action: Int[Array, " B"] | None = None,
+) -> Float[Array, "B d"]:
+    """Return the encoder's features of a batch of frames.
+
+    Args:
+      parts: what the module is made of.
+      params: of the module.
+      state: of the module.
+      frames: observations.
+      action: for encoders that take the action as input.
+    """
+    return view_encoder(parts, params, state).encode(frames, action)[0]

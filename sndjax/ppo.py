@@ -1,5 +1,6 @@
 """Proximal policy optimization for two reward streams (Schulman et al., 2017)."""
 
+import functools
 from typing import NamedTuple
 
 import chex
@@ -7,8 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sndjax.statistics import masked_mean
-from sndjax.types import Metrics
+from sndjax.returns import generalized_advantage
+from sndjax.statistics import broadcast_mask, masked_mean
+from sndjax.types import Experience, Metrics
 
 
 class Hyperparameters(NamedTuple):
@@ -106,3 +108,49 @@ def loss(
         "kl": masked_mean(ratio - 1 - log_ratio, valid),
         "ratio_clipped": masked_mean((jnp.abs(ratio - 1) > hyper.clip).astype(ratio.dtype), valid),
     }
+
+
+def compute_advantages(
+    hyper: Hyperparameters, batch: Experience, int_reward: Float[Array, "T N"]
+) -> tuple[Float[Array, "T N"], Float[Array, "T N K"]]:
+    """Compute the weighted advantage of both reward streams, and the value targets of every head.
+
+    Args:
+      hyper: discounts, weights and switches.
+      batch: the rollout, its external rewards and values.
+      int_reward: the intrinsic rewards.
+
+    Returns:
+      The advantage, 0 on reset rows where it is normalised, and the targets, 0 on reset rows.
+    """
+    rollout = batch.rollout
+    truncated = batch.truncated if hyper.bootstrap_truncated else None
+    streams = [
+        (batch.reward, hyper.gamma_ext, True),
+        (int_reward, hyper.gamma_int, hyper.episodic_int),
+    ]
+    weights = (hyper.ext_weight, hyper.int_weight)
+    heads = batch.value.shape[-1]
+    # The published mask is the other way round: it cuts within episodes and not between them.
+    done = ~rollout.done if hyper.published_mask else rollout.done
+    estimates = [
+        generalized_advantage(
+            reward,
+            batch.value[..., k],
+            done,
+            rollout.valid,
+            gamma,
+            hyper.gae_lambda,
+            truncated,
+            episodic,
+        )
+        for k, (reward, gamma, episodic) in enumerate(streams[:heads])
+    ]
+    weighted = [w * a for w, a in zip(weights, estimates, strict=False)]
+    total = functools.reduce(jnp.add, weighted)
+    targets = jnp.stack(estimates, axis=-1) + batch.value[:-1]
+    valid = rollout.valid
+    if hyper.normalize_advantages:
+        mean = jnp.mean(total, where=valid)
+        total = jnp.where(valid, (total - mean) / (jnp.std(total, where=valid) + 1e-8), 0.0)
+    return total, jnp.where(broadcast_mask(valid, targets), targets, 0.0)

@@ -65,6 +65,21 @@ def zero_invalid_rows(batch: Transition) -> Transition:
     )
 
 
+def zero_reset_rows(batch: Experience) -> Experience:
+    """Replace what reset rows hold, frames apart, by zeros."""
+    rollout = batch.rollout
+    valid = rollout.valid
+    zero = lambda x: jnp.where(broadcast_mask(valid, x), x, jnp.zeros_like(x))
+    return batch._replace(
+        rollout=rollout._replace(
+            action=zero(rollout.action), first=rollout.first & valid, done=rollout.done & valid
+        ),
+        reward=zero(batch.reward),
+        truncated=batch.truncated & valid,
+        log_prob=zero(batch.log_prob),
+    )
+
+
 def push_frame(
     window: Shaped[Array, "S N *frame"],
     frame: Shaped[Array, "N *frame"],

@@ -36,9 +36,9 @@ def scale_reward(
     Returns:
       The reward, 1 where the clip bound and 0 where it did not, and the new scale.
 
-    >>> from sndjax.statistics import init_return_scale
+    >>> from sndjax.statistics import init_return_statistics
     >>> signal, valid = jnp.array([[0.5, 4.0]]), jnp.ones((1, 2), bool)
-    >>> scale_reward(signal, valid, init_return_scale(2), "none", 0.5, 0.99)[:2]
+    >>> scale_reward(signal, valid, init_return_statistics(2), "none", 0.5, 0.99)[:2]
     (Array([[0.25, 1.  ]], dtype=float32), Array([[0., 1.]], dtype=float32))
     """
     if mode == "running_std":

@@ -3,7 +3,6 @@
 `make_train_step` composes the four; each is a pure function of its own.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -15,12 +14,12 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax import ppo
 from sndjax.acting import AgentSpec, forward, scale_vectors
-from sndjax.returns import generalized_advantage
 from sndjax.rollout import (
     gather_transitions,
     make_frame_stacker,
     slice_transitions,
     stack_to_channels,
+    zero_reset_rows,
 )
 from sndjax.scaling import scale_reward
 from sndjax.statistics import (
@@ -67,67 +66,6 @@ def init_train_state(
         key=key,
         iteration=jnp.zeros((), jnp.int32),
     )
-
-
-def zero_reset_rows(batch: Experience) -> Experience:
-    """Replace what reset rows hold, frames apart, by zeros."""
-    rollout = batch.rollout
-    valid = rollout.valid
-    zero = lambda x: jnp.where(broadcast_mask(valid, x), x, jnp.zeros_like(x))
-    return batch._replace(
-        rollout=rollout._replace(
-            action=zero(rollout.action), first=rollout.first & valid, done=rollout.done & valid
-        ),
-        reward=zero(batch.reward),
-        truncated=batch.truncated & valid,
-        log_prob=zero(batch.log_prob),
-    )
-
-
-def compute_advantages(
-    hyper: ppo.Hyperparameters, batch: Experience, int_reward: Float[Array, "T N"]
-) -> tuple[Float[Array, "T N"], Float[Array, "T N K"]]:
-    """Compute the weighted advantage of both reward streams, and the value targets of every head.
-
-    Args:
-      hyper: discounts, weights and switches.
-      batch: the rollout, its external rewards and values.
-      int_reward: the intrinsic rewards.
-
-    Returns:
-      The advantage, 0 on reset rows where it is normalised, and the targets, 0 on reset rows.
-    """
-    rollout = batch.rollout
-    truncated = batch.truncated if hyper.bootstrap_truncated else None
-    streams = [
-        (batch.reward, hyper.gamma_ext, True),
-        (int_reward, hyper.gamma_int, hyper.episodic_int),
-    ]
-    weights = (hyper.ext_weight, hyper.int_weight)
-    heads = batch.value.shape[-1]
-    # The published mask is the other way round: it cuts within episodes and not between them.
-    done = ~rollout.done if hyper.published_mask else rollout.done
-    estimates = [
-        generalized_advantage(
-            reward,
-            batch.value[..., k],
-            done,
-            rollout.valid,
-            gamma,
-            hyper.gae_lambda,
-            truncated,
-            episodic,
-        )
-        for k, (reward, gamma, episodic) in enumerate(streams[:heads])
-    ]
-    weighted = [w * a for w, a in zip(weights, estimates, strict=False)]
-    total = functools.reduce(jnp.add, weighted)
-    targets = jnp.stack(estimates, axis=-1) + batch.value[:-1]
-    valid = rollout.valid
-    if hyper.normalize_advantages:
-        mean = jnp.mean(total, where=valid)
-        total = jnp.where(valid, (total - mean) / (jnp.std(total, where=valid) + 1e-8), 0.0)
-    return total, jnp.where(broadcast_mask(valid, targets), targets, 0.0)
 
 
 def update_policy(
@@ -343,7 +281,7 @@ def make_train_step(
             jax.random.fold_in(state.key, 0), 4
         )
         state, int_reward, metrics = compute_intrinsic_rewards(agent, state, batch, key_reward)
-        advantage, target = compute_advantages(agent.ppo, batch, int_reward)
+        advantage, target = ppo.compute_advantages(agent.ppo, batch, int_reward)
         state, terms = update_policy(agent, state, batch, advantage, target, key_policy, shard_rows)
         metrics |= terms
         state, terms = update_intrinsic_module(agent, state, batch, key_module, shard_rows)

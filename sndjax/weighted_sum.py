@@ -6,16 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
-from sndjax.types import (
-    Encode,
-    Features,
-    Loss,
-    Metrics,
-    Objective,
-    Params,
-    Rollout,
-    Transition,
-)
+from sndjax.protocols import Encode, Objective
+from sndjax.types import Features, Loss, Metrics, Params, Rollout, Transition
 
 
 def weighted_sum(*parts: tuple[float | int, Objective]) -> Objective:

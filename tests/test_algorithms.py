@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import KINDS, rollout
-from sndjax.make_module import OBJECTIVES, make_module_from_recipe
+from helpers.rollouts import KINDS, rollout
 
 import sndjax
 from sndjax import gather_transitions
 from sndjax.algorithms import NAMED
+from sndjax.grid import OBJECTIVES, make_module_from_recipe
 
 MODULES = {name: make for name, make in NAMED.items() if make is not None}
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -58,10 +58,13 @@ def test_rnd_subtracts_the_mean_reads_half_a_sum_and_keeps_a_quarter():
     batch = rollout(VECTOR, np.random.default_rng(0))
     module = MODULES["rnd"](VECTOR.actions, VECTOR.size)
     params, state, _ = start(module, batch)
-    assert state["moments"] is not None
-    assert set(params) == {"signal"}  # the target is no parameter: no optimizer sees it
+    assert state.moments is not None
+    assert (params.encoder, params.objective) == (
+        None,
+        None,
+    )  # the target is no parameter: no optimizer sees it
     reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
-    mean = OBJECTIVES["none"]._replace(distillation={"reading": "mean"})
+    mean = OBJECTIVES["none"]._replace(distillation={"reward_reduction": "mean"})
     plain = make_module_from_recipe(
         mean, "distillation", VECTOR.actions, VECTOR.size, preprocess="mean"
     )
@@ -135,12 +138,12 @@ def test_options_are_finite_and_change_the_networks_they_name(options, kind):
     reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
     assert np.all(np.isfinite(reward))
     assert np.isfinite(jax.jit(module.loss)(params, state, *arguments)[0])
-    dense = lambda part: sum(name.startswith("Dense") for name in params[part]["params"])
+    dense = lambda part: sum(name.startswith("Dense") for name in getattr(params, part)["params"])
     linear = {"one_linear": (1, 1), "two_linear": (2, 2), "relu": (1, 1)}
     default = (1, 3) if kind.name != "vector" else (1, 1)
     wanted = linear.get(options.get("pairing"), default)
     assert (dense("encoder"), dense("signal")) == wanted
-    assert (state["moments"] is not None) == ("preprocess" in options)
+    assert (state.moments is not None) == ("preprocess" in options)
 
 
 def test_black_frames_have_finite_gradients():

@@ -2,8 +2,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import KINDS
-from test_train import batch_for, equal, made
+from helpers.agents import batch_for, equal, made
+from helpers.rollouts import KINDS
 
 import sndjax
 

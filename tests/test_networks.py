@@ -68,25 +68,25 @@ def test_encoders_have_the_parameters_of_the_table(name, kind, target, learned):
     _, size, actions = FRAMES[kind]
     module = NAMED[name](actions, size)
     params, state = jax.eval_shape(module.init, jax.random.key(0), example(kind))
-    assert count(params["encoder"] if "encoder" in params else state["encoder"]) == target
-    assert count(params["signal"]) == learned
+    assert count(state.encoder if params.encoder is None else params.encoder) == target
+    assert count(params.signal) == learned
     if name == "snd_std":
         width, local = {"vector": (64, 64), "small": (128, 32)}.get(kind, (512, 64))
-        assert count(params["objective"]) == width * local + local + local * local + local
+        assert count(params.objective) == width * local + local + local * local + local
     if name == "snd_byol":
         # d -> d -> d/2 and d/2 -> d -> d/2, twice with the slow copy.
         heads = 512 * 512 + 512 + 512 * 256 + 256 + 256 * 512 + 512 + 512 * 256 + 256
-        assert count(params["objective"]) == heads
-        assert count(state["slow"]) == target + heads
+        assert count(params.objective) == heads
+        assert count(state.slow) == target + heads
 
 
 @pytest.mark.parametrize(("name", "kind", "encoder", "forward", "objective"), PREDICTORS)
 def test_predictors_have_the_parameters_of_the_table(name, kind, encoder, forward, objective):
     _, size, actions = FRAMES[kind]
     params, _ = jax.eval_shape(NAMED[name](actions, size).init, jax.random.key(0), example(kind))
-    assert count(params["encoder"]) == encoder
-    assert count(params["signal"]) == forward
-    assert count(params["objective"]) == objective
+    assert count(params.encoder) == encoder
+    assert count(params.signal) == forward
+    assert count(params.objective) == objective
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_weights_are_orthogonal_with_the_gains_of_the_table_and_biases_zero():
 def test_convolutions_are_orthogonal_with_the_gain_of_the_table():
     module = snd_std(18)
     params, _ = module.init(jax.random.key(0), example("atari"))
-    for encoder in (params["encoder"], params["signal"]):
+    for encoder in (params.encoder, params.signal):
         torso = encoder["params"]["Torso_0"]
         for i in range(4):
             kernel = np.asarray(torso[f"kernel_{i}"], np.float64)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import rlax
-from builders import episodes
+from helpers.rollouts import episodes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import KINDS, experience, rollout
+from helpers.rollouts import KINDS, experience, rollout
 
 from sndjax.rollout import (
     FrameStack,

@@ -4,62 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import KINDS, experience
+from helpers.agents import ENVS, STEPS, batch_for, equal, example, heads, made
+from helpers.rollouts import KINDS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sndjax
 from experiments.training.agents import init_states, map_over_seeds
 from sndjax import ppo
-from sndjax.algorithms import NAMED
 from sndjax.train import update_intrinsic_module
 
-STACKS = {
-    "atari": sndjax.FrameStack(4, True),
-    "procgen": sndjax.FrameStack(2, False),
-    "vector": sndjax.FrameStack(),
-}
-STEPS, ENVS = 8, 4
 pytestmark = pytest.mark.usefixtures("quick_compilation")
-
-
-@functools.cache
-def made(name, kind, **changes):
-    """An agent at toy size, its first state and its jitted train step."""
-    make = NAMED[name]
-    motivation = None
-    if make is not None:
-        module = make(kind.actions, kind.size)
-        motivation = sndjax.IntrinsicConfig(module, eta=1.0, learning_rate=1e-3, minibatch_size=16)
-    hyper = ppo.Hyperparameters(minibatch_size=8, epochs=2, learning_rate=1e-3, **changes)
-    network = sndjax.ActorCritic(kind.size, kind.actions, 2 if motivation else 1)
-    agent = sndjax.AgentSpec(network, hyper, motivation, STACKS[kind.name])
-    state = jax.jit(functools.partial(sndjax.init_train_state, agent))(
-        jax.random.key(0), example(kind)
-    )
-    return agent, state, jax.jit(sndjax.make_train_step(agent))
-
-
-def example(kind):
-    dtype = jnp.uint8 if len(kind.shape) == 3 else jnp.float32
-    return jnp.zeros((ENVS, *kind.shape), dtype)
-
-
-def batch_for(kind, seed=0, heads=2):
-    rng = np.random.default_rng(seed)
-    return experience(kind, rng, STEPS, ENVS, STACKS[kind.name].size, heads)
-
-
-def heads(name):
-    return 1 if NAMED[name] is None else 2
-
-
-def equal(one, other, **tolerance):
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
-            a, b = jax.random.key_data(a), jax.random.key_data(b)
-        np.testing.assert_allclose(a, b, **tolerance)
 
 
 RUNS = [(name, KINDS[2]) for name in ("ppo", "snd_vic", "snd_byol", "icm", "qrnd")]
@@ -86,7 +41,7 @@ def test_one_step_is_finite_and_moves_what_it_should(name, kind):
     same = jax.tree.map(lambda a, b: a.shape == b.shape and a.dtype == b.dtype, state, after)
     assert all(jax.tree.leaves(same))
     if name == "rnd":
-        equal(state.intrinsic_state["encoder"], after.intrinsic_state["encoder"])
+        equal(state.intrinsic_state.encoder, after.intrinsic_state.encoder)
 
 
 @pytest.mark.parametrize(
@@ -204,17 +159,17 @@ def test_on_a_fixed_rollout_the_distillation_loss_falls_over_ten_updates(name, k
     agent, state, _ = made(name, kind)
     batch = batch_for(kind)
     step = jax.jit(lambda state, key: update_intrinsic_module(agent, state, batch, key))
-    copies, losses = [state.intrinsic["signal"]], []
+    copies, losses = [state.intrinsic.signal], []
     for key in jax.random.split(jax.random.key(0), 10):
         state, metrics = step(state, key)
-        copies.append(state.intrinsic["signal"])
+        copies.append(state.intrinsic.signal)
         losses.append(float(metrics["distillation_loss"]))
     rows = sndjax.gather_transitions(batch.rollout, jnp.arange(STEPS * ENVS))
-    module = agent.motivation.module
+    module = agent.intrinsic.module
 
     @jax.jit
     def against_the_last_target(copy):
-        params = state.intrinsic | {"signal": copy}
+        params = state.intrinsic._replace(signal=copy)
         return module.loss(params, state.intrinsic_state, rows, batch.rollout, jax.random.key(1))[
             1
         ]["distillation_loss"]
@@ -230,7 +185,7 @@ def test_a_signal_that_trains_nothing_on_a_frozen_encoder_is_a_bonus_too(signal)
     kind = KINDS[2]
     agent, _, _ = made("rnd", kind)
     module = sndjax.make_module("none", signal, kind.actions, kind.size)
-    agent = agent._replace(motivation=agent.motivation._replace(module=module))
+    agent = agent._replace(intrinsic=agent.intrinsic._replace(module=module))
     state = jax.jit(functools.partial(sndjax.init_train_state, agent))(
         jax.random.key(0), example(kind)
     )
@@ -239,12 +194,12 @@ def test_a_signal_that_trains_nothing_on_a_frozen_encoder_is_a_bonus_too(signal)
     assert np.all(np.isfinite(int_reward))
     assert np.any(int_reward > 0)
     assert "module_grad_norm" not in metrics
-    equal(state.intrinsic_state["encoder"], after.intrinsic_state["encoder"])
+    equal(state.intrinsic_state.encoder, after.intrinsic_state.encoder)
 
 
 def test_the_published_mask_is_done_the_wrong_way_round():
     """r - V within episodes, and a bootstrap across their ends (by hand, one environment)."""
-    from sndjax.train import compute_advantages
+    from sndjax.ppo import compute_advantages
 
     no, yes = jnp.zeros((3, 1), bool), jnp.ones((3, 1), bool)
     done = no.at[1].set(True)

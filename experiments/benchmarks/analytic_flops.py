@@ -28,30 +28,30 @@ def torso_flops(
     if not convolutions:
         return mlp_flops(prod(shape), *hidden), hidden[-1], (1, hidden[-1])
     height, width, channels = shape
-    flops_per_step, local = 0.0, (0, 0)
+    total, local = 0.0, (0, 0)
     for i, layer in enumerate(convolutions):
         height = (height + 2 * layer.padding - layer.size) // layer.stride + 1
         width = (width + 2 * layer.padding - layer.size) // layer.stride + 1
-        flops_per_step += 2.0 * height * width * layer.channels * layer.size**2 * channels
+        total += 2.0 * height * width * layer.channels * layer.size**2 * channels
         channels = layer.channels
         if i == 2:
             local = (height * width, channels)
-    return flops_per_step, height * width * channels, local
+    return total, height * width * channels, local
 
 
 def encoder_flops(network: Encoder, shape: tuple[int, ...]) -> float:
     """Operations of an encoder on one frame."""
-    flops_per_step, out, _ = torso_flops(network.convolutions, network.hidden, shape)
+    total, out, _ = torso_flops(network.convolutions, network.hidden, shape)
     d = network.features
-    return flops_per_step + mlp_flops(out + network.num_actions, *[d] * (1 + network.extra))
+    return total + mlp_flops(out + network.num_actions, *[d] * (1 + network.extra))
 
 
 def policy_flops(size: Architecture, stack: tuple[int, ...], num_actions: int, heads: int) -> float:
     """Operations of the actor-critic on one stack."""
-    flops_per_step, out, _ = torso_flops(size.convolutions(size.last), size.hidden, stack)
+    total, out, _ = torso_flops(size.convolutions(size.last), size.hidden, stack)
     d = size.features
     return (
-        flops_per_step + mlp_flops(out, d) + mlp_flops(d, d, num_actions) + mlp_flops(d, d, heads)
+        total + mlp_flops(out, d) + mlp_flops(d, d, num_actions) + mlp_flops(d, d, heads)
     )
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from sndjax.make_module import OBJECTIVES, SIGNALS
 
 import sndjax
 from sndjax.algorithms import NAMED
+from sndjax.grid import OBJECTIVES, SIGNALS
 
 from ..training.flops import count_flops
 

@@ -15,12 +15,12 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 import sndjax
+from sndjax.ppo import compute_advantages
+from sndjax.rollout import zero_reset_rows
 from sndjax.train import (
-    compute_advantages,
     compute_intrinsic_rewards,
     update_intrinsic_module,
     update_policy,
-    zero_reset_rows,
 )
 
 from ..config.schema import Config

@@ -1,4 +1,4 @@
-"""From the command line to a validated `Config`, without importing jax."""
+"""Composition of a validated `Config` from the command line, without importing jax."""
 
 from pathlib import Path
 
@@ -27,7 +27,12 @@ from .validation import (
 
 
 def parse_overrides(arguments: list[str]) -> dict[str, Override]:
-    """The overrides by key; refused where they are no key=value of a known key."""
+    """Parse the arguments of the command line into overrides by key.
+
+    Raises:
+      ConfigError: an argument is not key=value, its key or group choice is unknown, it has several
+        values, or a key is given twice.
+    """
     parser = OverridesParser.create()
     known = {name for name, _ in config_options()} | set(ALL_GROUPS)
     parsed: dict[str, Override] = {}
@@ -56,10 +61,10 @@ def parse_overrides(arguments: list[str]) -> dict[str, Override]:
 
 
 def load_config(arguments: list[str]) -> Config:
-    """The configuration that the command line asks for.
+    """Return the configuration that the command line asks for.
 
     Raises:
-      ConfigError: in one line, what is wrong with it and what would be right.
+      ConfigError: the command line is invalid; one line says what is wrong and what is right.
     """
     overrides = parse_overrides(arguments)
     for key in ("resume", "repeat"):
@@ -74,10 +79,10 @@ def load_config(arguments: list[str]) -> Config:
 
 
 def compose_config(overrides: dict[str, Override]) -> Config:
-    """Return the configuration that Hydra composes of the groups, with the options over them.
+    """Return the configuration that Hydra composes from the groups and the options.
 
     Raises:
-      ConfigError: a group is not named, or the options do not go together.
+      ConfigError: a group is not named, or the options do not fit together.
     """
     if "algo.module" in overrides:
         overrides.setdefault("algo", OverridesParser.create().parse_override("algo=module"))
@@ -101,11 +106,11 @@ def compose_config(overrides: dict[str, Override]) -> Config:
 
 
 def register_configs() -> None:
-    """Tell Hydra the schema and, from the table of algorithms, the configuration of each."""
+    """Register with Hydra the schema and the configuration of each algorithm in the table."""
     store = ConfigStore.instance()
     store.store(name="schema", node=config_schema())
     for name, row in algorithm_table().items():
-        if row.objective is None:  # conf/algo/ppo.yaml
+        if row.objective is None:  # configured in conf/algo/ppo.yaml
             continue
         node = {
             "name": name,
@@ -122,7 +127,7 @@ def task_lines(overrides: dict[str, Override]) -> list[str]:
     """Return the overrides that follow from the task that `env.id` names.
 
     Raises:
-      ConfigError: the environment has its own task, or needs one, or is not for this one.
+      ConfigError: the environment has a fixed task, needs a task, or does not accept this one.
     """
     env = str(overrides["env"].value())
     if env in GENERIC_ENVS and "env.id" not in overrides:
@@ -131,7 +136,7 @@ def task_lines(overrides: dict[str, Override]) -> list[str]:
         if key in overrides and env not in GENERIC_ENVS:
             raise ConfigError(f"{key}: env={env} has its own; take env=envpool or env=gymnasium")
     task = str(overrides["env.id"].value()) if "env.id" in overrides else ""
-    of_module = env == "MiniGrid" and ":" in task  # minigrid's own, which gymnasium makes
+    of_module = env == "MiniGrid" and ":" in task  # minigrid's task, made by gymnasium
     if env == "MiniGrid" and not task.rpartition(":")[2].startswith("MiniGrid-"):
         raise ConfigError(
             f"env.id={task}: env=MiniGrid is for MiniGrid-... and minigrid:MiniGrid-..."
@@ -149,7 +154,11 @@ def task_lines(overrides: dict[str, Override]) -> list[str]:
 
 
 def check_algorithm(overrides: dict[str, Override]) -> None:
-    """Raise where the options that make up a cell do not go with the algorithm that is named."""
+    """Check that the options of the objective, signal and module fit the named algorithm.
+
+    Raises:
+      ConfigError: an option does not fit the algorithm, or a required one is missing.
+    """
     algo = str(overrides["algo"].value())
     given = [k for k in ("algo.objective", "algo.signal") if k in overrides]
     if given and algo == "ppo":
@@ -175,7 +184,12 @@ def check_algorithm(overrides: dict[str, Override]) -> None:
 
 
 def function_name(module: str) -> str:
-    """The function's name in FILE.py:FUNCTION."""
+    """Return the name of the function in FILE.py:FUNCTION.
+
+    Raises:
+      ConfigError: the text has another form, the file does not exist, or the name is that of an
+        algorithm.
+    """
     path, colon, name = module.rpartition(":")
     if not (colon and path.endswith(".py") and name.isidentifier()):
         raise ConfigError(f"algo.module={module}: write FILE.py:FUNCTION")
@@ -187,7 +201,7 @@ def function_name(module: str) -> str:
 
 
 def override_line(override: Override) -> str:
-    """The override as Hydra reads it; envpool's own options may be new keys."""
+    """Return the override in Hydra's syntax; keys below env.options may be new."""
     assert override.input_line is not None
     text = override.input_line.lstrip("+")
     return f"++{text}" if override.key_or_group.startswith("env.options.") else text

@@ -1,11 +1,11 @@
-"""Which envpool tasks there are, and which of them can be trained on. Imports envpool."""
+"""The envpool tasks, and the check that a task can be trained on. Imports envpool."""
 
 import ctypes
 import importlib.util
 from pathlib import Path
 
-# Procgen's renderer needs Qt's Core and Gui and the ICU libraries below them. envpool
-# leaves them out; PyQt5-Qt5 carries them. Loaded before envpool, in order of dependency.
+# Procgen's renderer needs Qt's Core and Gui and the ICU libraries that Qt needs. envpool
+# does not contain them; PyQt5-Qt5 does. Loaded before envpool, in order of dependency.
 QT_LIBRARIES = (
     "libicudata.so.56",
     "libicuuc.so.56",
@@ -16,10 +16,12 @@ QT_LIBRARIES = (
 
 
 def load_qt() -> str:
-    """Make Qt's symbols known to the process, from the PyPI package where it is installed.
+    """Load the Qt libraries from the PyPI package, if it is installed.
 
-    Returns what was in the way, "" if nothing was: Qt needs GLib and OpenGL from the system, and
-    all but Procgen does without.
+    Qt needs GLib and OpenGL from the system. Only Procgen needs Qt.
+
+    Returns:
+      The reason why a library could not be loaded, or "".
     """
     package = importlib.util.find_spec("PyQt5")
     for root in (package.submodule_search_locations or ()) if package else ():
@@ -46,11 +48,11 @@ FAMILIES = {"envpool.atari": "atari", "envpool.procgen": "procgen"}
 
 
 def family_of(task: str) -> str:
-    """The config family of an envpool task.
+    """Return the config family of an envpool task.
 
     Raises:
-      ConfigError: there is no such task, its actions are not one discrete choice, or its levels
-        are broken.
+      ConfigError: the task does not exist or cannot be made, its actions are not one discrete
+        choice, or its levels are broken.
     """
     known = envpool.list_all_envs()
     if task not in known:
@@ -62,7 +64,7 @@ def family_of(task: str) -> str:
         )
     try:
         space = envpool.make_spec(task).action_space
-    except Exception as error:  # a task that needs files of its own, say
+    except Exception as error:  # for example, a task whose files are missing
         cause = (str(error) or type(error).__name__).splitlines()[0]
         if QT_MISSES and registry.specs[task][0] == "envpool.procgen":
             cause = QT_MISSES

@@ -1,4 +1,4 @@
-"""What `--help` prints: options with their defaults, ranges and meanings."""
+"""The text that `--help` prints: options with their defaults, ranges and meanings."""
 
 from collections.abc import Iterable
 from dataclasses import MISSING, Field, fields
@@ -26,11 +26,11 @@ def default_of(entry: Field[Any]) -> Any:
 
 
 def option_lines(named: Iterable[tuple[str, Field[Any]]], width: int) -> list[str]:
-    """Return a line for each option: its name and default, its meaning, the values it may have.
+    """Return one line per option: its name and default, its meaning, its allowed values.
 
     Args:
       named: pairs of an option's name and its dataclass field.
-      width: of the first column, in characters.
+      width: the width of the first column, in characters.
     """
     lines = []
     for name, entry in named:
@@ -42,7 +42,7 @@ def option_lines(named: Iterable[tuple[str, Field[Any]]], width: int) -> list[st
 
 
 def allowed(limits: Any) -> str:
-    """Return the values that an option may have, in brackets, or "".
+    """Return the allowed values of an option in brackets, or "".
 
     >>> allowed({"choices": None, "low": 0, "above": None, "high": 1})
     ' [0 to 1]'
@@ -63,13 +63,13 @@ def allowed(limits: Any) -> str:
 
 
 def run_option_lines() -> list[str]:
-    """Return the lines about every option of `sndjax run`."""
+    """Return the help lines of every option of `sndjax run`."""
     head = "options (key=value, with their defaults; env and algo may change them)"
     return [head, *option_lines(config_options(), 34)]
 
 
 def run_help() -> str:
-    """Return what `sndjax run --help` prints."""
+    """Return the text that `sndjax run --help` prints."""
     lines = [RUN_USAGE]
     titles = ("environments", "algorithms", "presets, which may be left out")
     for group, title in zip(ALL_GROUPS, titles, strict=True):
@@ -79,12 +79,12 @@ def run_help() -> str:
 
 
 def tool_help(about: str, kind: Any, takes_run_options: bool = False) -> str:
-    """Return what `--help` of a tool prints.
+    """Return the text that `--help` of a tool prints.
 
     Args:
       about: the docstring of the tool.
       kind: the dataclass of its options, made by `experiments.config.schema.option`.
-      takes_run_options: the tool takes the options of `sndjax run` too.
+      takes_run_options: whether the tool also takes the options of `sndjax run`.
     """
     lines = [dedent(about).strip()]
     own = [(entry.name, entry) for entry in fields(kind)]

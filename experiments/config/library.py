@@ -1,4 +1,4 @@
-"""What the library says of itself, read from its files without importing jax."""
+"""Facts about the library, read from its files without importing jax."""
 
 import ast
 import importlib.util
@@ -19,7 +19,7 @@ def library_path() -> Path:
 
 @cache
 def module_names(subpackage: str) -> tuple[str, ...]:
-    """Return the module names in a library subpackage: one file, one constructor of its name."""
+    """Return the module names in a library subpackage; each has a constructor of its name."""
     files = (library_path() / subpackage).glob("*.py")
     return tuple(sorted(path.stem for path in files if path.stem != "__init__"))
 
@@ -27,6 +27,9 @@ def module_names(subpackage: str) -> tuple[str, ...]:
 @cache
 def constructor_parameters(subpackage: str, name: str) -> tuple[str, ...]:
     """Return the parameter names of the constructor of an objective or a signal.
+
+    Raises:
+      ValueError: the file defines no function of its name.
 
     >>> constructor_parameters("signals", "re3")
     ('k',)
@@ -44,7 +47,7 @@ def has_predictor(signal: str) -> bool:
 
 
 def has_forward_model(signal: str) -> bool:
-    """Return True if the signal has a forward loss whose gradient into the encoder is chosen."""
+    """Return True if the signal has a forward loss with an option for its encoder gradient."""
     return "gradient" in constructor_parameters("signals", signal)
 
 

@@ -1,6 +1,6 @@
-"""Configurations that are read back: to go on with a run, or to repeat one.
+"""Stored configurations, read to resume or to repeat a run.
 
-They may come from anywhere: nothing in them is evaluated, and none may name code.
+They may come from an untrusted source: nothing in them is evaluated, and they may not name code.
 """
 
 from dataclasses import asdict, replace
@@ -19,19 +19,19 @@ from .validation import GENERIC_ENVS, GROUPS, config_options, get_option, valida
 
 CONFIG = "config.yaml"
 MADE_WITH = "made_with"
-# What may change when a run goes on.
+# Options that may change when a run is resumed.
 CHANGEABLE = ("total_steps", "resume", "repeat", "run_dir", "tracker", "group", "distributed")
 
 
 class SavedConfig(NamedTuple):
-    """A configuration with the versions that it was run with."""
+    """A configuration with the versions that the run was made with."""
 
     config: Config
     made_with: dict[str, str]
 
 
 class NoAliasLoader(yaml.SafeLoader):
-    """YAML without aliases: a few of them, nested, would fill the memory."""
+    """A YAML loader that refuses aliases, because a few nested aliases could fill the memory."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -40,7 +40,7 @@ class NoAliasLoader(yaml.SafeLoader):
 
 
 def config_schema() -> DictConfig:
-    """The dataclasses as an OmegaConf schema that can still be merged into."""
+    """Return the dataclasses as an OmegaConf schema that other values can be merged into."""
 
     def thaw(node: DictConfig) -> DictConfig:
         OmegaConf.set_readonly(node, None)
@@ -54,7 +54,7 @@ def config_schema() -> DictConfig:
 
 
 def innermost_reason(error: Exception) -> str:
-    """The innermost cause of a Hydra or OmegaConf error, on one line."""
+    """Return the innermost cause of a Hydra or OmegaConf error, on one line."""
     while error.__cause__ is not None and isinstance(error.__cause__, Exception):
         error = error.__cause__
     lines = [part.strip() for part in str(error).splitlines() if part.strip()]
@@ -64,19 +64,23 @@ def innermost_reason(error: Exception) -> str:
 
 
 def to_yaml(stored: SavedConfig) -> str:
-    """Every option of a run, defaults too, as it can be resumed and repeated from."""
+    """Return every option of a run as YAML, with defaults, to resume or repeat the run from."""
     body = asdict(stored.config) | {"resume": None, "repeat": None}
     return yaml.safe_dump({MADE_WITH: stored.made_with} | body, sort_keys=False)
 
 
 def parse_saved(text: str, where: str) -> SavedConfig:
-    """A configuration from its text.
+    """Parse a stored configuration.
+
+    Args:
+      text: the content of the file.
+      where: the name of the source, for error messages.
 
     Raises:
-      ConfigError: it is none.
+      ConfigError: the text is not a configuration.
     """
     try:
-        found = yaml.load(text, NoAliasLoader)  # a safe loader: it makes plain data only
+        found = yaml.load(text, NoAliasLoader)  # a safe loader: it creates only plain data
         if not isinstance(found, dict):
             raise ConfigError("it is no configuration")
         made_with = found.pop(MADE_WITH, {})
@@ -85,17 +89,17 @@ def parse_saved(text: str, where: str) -> SavedConfig:
         if "${" in str(found):
             raise ConfigError("it holds a reference ('${'); a stored value stands for itself")
         config = OmegaConf.to_object(OmegaConf.merge(config_schema(), found))
-    except Exception as error:  # what a file from elsewhere makes a loader raise is open
+    except Exception as error:  # an untrusted file may cause any exception
         raise ConfigError(f"{where} cannot be read: {innermost_reason(error)}") from None
     assert isinstance(config, Config)
     return SavedConfig(config, {str(name): str(version) for name, version in made_with.items()})
 
 
 def read_saved(path: Path) -> SavedConfig:
-    """A configuration from its file.
+    """Read a stored configuration from its file.
 
     Raises:
-      ConfigError: it is none.
+      ConfigError: the file cannot be read, or is not a configuration.
     """
     try:
         return parse_saved(path.read_text(), str(path))
@@ -104,15 +108,18 @@ def read_saved(path: Path) -> SavedConfig:
 
 
 def run_settings(config: Config) -> dict[str, Any]:
-    """Every option that must stay as it is while a run goes on, by its dotted name."""
+    """Return every option that may not change when a run is resumed, by its dotted name."""
     names = ["env.name", "algo.name", *(name for name, _ in config_options())]
     return {name: get_option(config, name) for name in names if name not in CHANGEABLE}
 
 
 def check_settings(config: Config, stored: dict[str, Any]) -> None:
-    """Raise ValueError, naming the first that is different, unless the settings are the stored.
+    """Raise ValueError for the first setting that differs from the stored configuration.
 
-    What is younger than the checkpoint was what it is by default.
+    An option that is newer than the checkpoint counts as stored with its default.
+
+    Raises:
+      ValueError: a setting differs; the message names it with both values.
     """
     defaults = {name: entry.default for name, entry in config_options()}
     for name, now in run_settings(config).items():
@@ -122,7 +129,16 @@ def check_settings(config: Config, stored: dict[str, Any]) -> None:
 
 
 def check_code(stored: Config, overrides: dict[str, Override], what: str) -> None:
-    """Raise where a stored configuration names code that the command line does not name too."""
+    """Check that the command line repeats all code that a stored configuration names.
+
+    Args:
+      stored: the stored configuration.
+      overrides: the options of the command line, by key.
+      what: the option that names the stored run, for error messages.
+
+    Raises:
+      ConfigError: the stored configuration names code that the command line does not name.
+    """
     if stored.algo.module is not None and "algo.module" not in overrides:
         raise ConfigError(
             f"{what}: the run is of a bonus that is code, and no stored file may name code; "
@@ -136,10 +152,18 @@ def check_code(stored: Config, overrides: dict[str, Override], what: str) -> Non
 
 
 def apply_overrides(stored: Config, overrides: dict[str, Override], what: str) -> Config:
-    """The stored configuration; the options given with it may only repeat it, or extend it.
+    """Return the stored configuration with the options of the command line applied.
+
+    The options may only repeat the stored configuration, or extend the run; the options in
+    `CHANGEABLE` may differ.
+
+    Args:
+      stored: the stored configuration.
+      overrides: the options of the command line, by key.
+      what: the option that names the stored run, for error messages.
 
     Raises:
-      ConfigError: naming the first that is different.
+      ConfigError: an option differs from the stored configuration; the message names the first.
     """
     check_code(stored, overrides, what)
     values = OmegaConf.create(asdict(stored))
@@ -168,7 +192,16 @@ def apply_overrides(stored: Config, overrides: dict[str, Override], what: str) -
 
 
 def check_extension(stored: Config, config: Config, what: str) -> Config:
-    """The configuration, validated, unless it is shorter than the stored one."""
+    """Return the validated configuration; it may not be shorter than the stored one.
+
+    Args:
+      stored: the stored configuration.
+      config: the new configuration.
+      what: the option that names the stored run, for error messages.
+
+    Raises:
+      ConfigError: the new configuration is invalid, or has fewer steps than the stored one.
+    """
     config = validate_config(config)
     if config.total_steps < stored.total_steps:
         raise ConfigError(
@@ -179,7 +212,11 @@ def check_extension(stored: Config, config: Config, what: str) -> Config:
 
 
 def load_resumed(overrides: dict[str, Override]) -> Config:
-    """The configuration of the run to go on with."""
+    """Return the configuration of the run to resume.
+
+    Raises:
+      ConfigError: the directory holds no run, or the options do not fit the run.
+    """
     directory = str(overrides.pop("resume").value())
     path = Path(directory) / CONFIG
     if not is_file(path):
@@ -191,10 +228,10 @@ def load_resumed(overrides: dict[str, Override]) -> Config:
 
 
 def load_resumed_or_new(config: Config) -> Config:
-    """`resume=auto`: the run in `run_dir` if there is one, else a fresh one there.
+    """Return the configuration for `resume=auto`: the run in `run_dir`, or a new run there.
 
     Raises:
-      ConfigError: there is one of another configuration.
+      ConfigError: `run_dir` is not given, or it holds a run of another configuration.
     """
     if config.run_dir is None:
         raise ConfigError("resume=auto looks in run_dir=DIRECTORY; say which")
@@ -213,7 +250,11 @@ def load_resumed_or_new(config: Config) -> Config:
 
 
 def load_repeated(overrides: dict[str, Override]) -> Config:
-    """The configuration of a run that is to be run again, in a directory of its own."""
+    """Return the configuration of a run that is repeated in a separate directory.
+
+    Raises:
+      ConfigError: the file does not exist, or the options do not fit the run.
+    """
     path = Path(str(overrides.pop("repeat").value()))
     if "resume" in overrides:
         raise ConfigError("repeat begins a run anew; resume goes on with one")

@@ -12,7 +12,16 @@ SIGNALS = module_names("signals")
 
 
 def option(default: Any, about: str, *, low=None, high=None, above=None, choices=None) -> Any:
-    """A field with its meaning and its range: low and high are allowed values, above is not."""
+    """Return a dataclass field with its meaning and its range.
+
+    Args:
+      default: the default value.
+      about: the meaning of the option, for `--help`.
+      low: the smallest allowed value, or None.
+      high: the largest allowed value, or None.
+      above: a bound that values must exceed, not itself allowed, or None.
+      choices: the allowed values, or None.
+    """
     metadata = {"about": about, "low": low, "high": high, "above": above, "choices": choices}
     if isinstance(default, dict):
         return field(default_factory=lambda: dict(default), metadata=metadata)
@@ -21,6 +30,8 @@ def option(default: Any, about: str, *, low=None, high=None, above=None, choices
 
 @dataclass(frozen=True)
 class EnvConfig:
+    """The options of the environment."""
+
     name: str = option(MISSING, "what results are filed under")
     id: str = option(MISSING, "the task (with env=envpool, env=gymnasium or env=MiniGrid)")
     suite: str = option("envpool", "who makes the task", choices=("envpool", "gymnasium"))
@@ -44,6 +55,8 @@ class EnvConfig:
 
 @dataclass(frozen=True)
 class AlgoConfig:
+    """The options of the intrinsic module."""
+
     name: str = option(MISSING, "the algorithm")
     eta: float = option(0.5, "scale of the intrinsic reward", low=0)
     reward_scale: str = option(
@@ -79,6 +92,8 @@ class AlgoConfig:
 
 @dataclass(frozen=True)
 class PPOConfig:
+    """The options of PPO."""
+
     learning_rate: float = option(1e-4, "Adam's", above=0, high=1)
     minibatch_size: int = option(512, "rows per gradient step", low=1)
     epochs: int = option(4, "passes over a rollout", low=1, high=1000)
@@ -99,6 +114,8 @@ class PPOConfig:
 
 @dataclass(frozen=True)
 class Config:
+    """All options of a run."""
+
     env: EnvConfig = field(default_factory=EnvConfig)
     algo: AlgoConfig = field(default_factory=AlgoConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
@@ -135,15 +152,15 @@ class Config:
 
     @property
     def rows(self) -> int:
-        """Rows that one seed collects in an iteration."""
+        """The number of rows that one seed collects in an iteration."""
         return self.num_envs * self.rollout_length
 
     @property
     def seeds(self) -> list[int]:
-        """One per agent."""
+        """The seed of each agent."""
         return [self.seed + i for i in range(self.num_seeds)]
 
     @property
     def iterations(self) -> int:
-        """Iterations of the whole run."""
+        """The number of iterations of the whole run."""
         return -(-self.total_steps // self.rows)

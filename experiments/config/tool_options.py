@@ -17,10 +17,15 @@ TRUST = "the code that the run's configuration names (its algo.module or env.id)
 
 
 def convert_value(name: str, text: str, default: Any) -> Any:
-    """Return the text as a value of the type that the default has.
+    """Convert the text of an option to the type of its default.
+
+    Args:
+      name: the name of the option, for error messages.
+      text: the text that the command line gives.
+      default: the default of the option; with None the text is returned unchanged.
 
     Raises:
-      ConfigError: it is no such value.
+      ConfigError: the text is not a value of that type.
     """
     try:
         if isinstance(default, bool):
@@ -38,11 +43,11 @@ def parse_arguments(arguments: Sequence[str], kind: type[Options]) -> tuple[list
     """Return the paths and the options that a command line gives.
 
     Args:
-      arguments: of the process, without its name.
+      arguments: the arguments of the process, without its name.
       kind: a dataclass whose fields are made by `experiments.config.schema.option`.
 
     Raises:
-      ConfigError: an option that does not exist, is given twice, or is out of its range.
+      ConfigError: an option does not exist, is given twice, has no value, or is out of its range.
 
     >>> from dataclasses import dataclass
     >>> from experiments.config.schema import option
@@ -88,7 +93,7 @@ def asks_for_help(arguments: Sequence[str]) -> bool:
 
 
 def exit_status(body: Callable[[], None]) -> int:
-    """Run the body of a tool, and return its exit status; an error is one line on stderr."""
+    """Run the body of a tool and return its exit status; print an error as one line on stderr."""
     configure_xla()
     try:
         body()
@@ -106,16 +111,16 @@ def run_command(
     arguments: Sequence[str],
     paths: Literal["needed", "optional", "none"] = "needed",
 ) -> int:
-    """Run a tool that takes paths and options of its own, and return the exit status.
+    """Run a tool that takes paths and tool options, and return the exit status.
 
     Args:
       about: the docstring of the tool, for `--help`.
-      kind: the dataclass of its options.
-      body: what the tool does with the paths and the options; a ConfigError or an OSError that it
-        raises is printed in one line.
-      arguments: of the process.
-      paths: "needed": without arguments the tool has nothing to do, and prints its help; "none":
-        paths are refused.
+      kind: the dataclass of the tool's options.
+      body: the function that gets the paths and the options; a ConfigError or an OSError that it
+        raises is printed as one line.
+      arguments: the arguments of the process.
+      paths: "needed": without arguments the tool only prints its help; "optional": the tool also
+        runs without arguments; "none": the same, but paths are refused.
     """
     if asks_for_help(arguments) or (paths == "needed" and not arguments):
         print(tool_help(str(about), kind))
@@ -137,14 +142,14 @@ def run_config_command(
     arguments: Sequence[str],
     preset: Sequence[str] = (),
 ) -> int:
-    """Run a tool that takes the options of `sndjax run` and some of its own.
+    """Run a tool that takes the options of `sndjax run` and tool options.
 
     Args:
       about: the docstring of the tool, for `--help`.
-      kind: the dataclass of its own options.
-      body: what the tool does with the configuration and its own options.
-      arguments: of the process.
-      preset: options of `sndjax run` that the tool gives itself, such as "algo=ppo".
+      kind: the dataclass of the tool's options.
+      body: the function that gets the configuration and the tool's options.
+      arguments: the arguments of the process.
+      preset: options of `sndjax run` that the tool sets, such as "algo=ppo".
 
     Returns:
       The exit status.
@@ -162,7 +167,7 @@ def run_config_command(
 
 
 def split_arguments(arguments: Sequence[str], kind: Any) -> tuple[list[str], list[str]]:
-    """Return the arguments that are options of `kind`, and the others."""
+    """Return the arguments that are options of `kind`, and all other arguments."""
     names = {entry.name for entry in fields(kind)}
     named = lambda argument: argument.removeprefix("--").partition("=")[0].replace("-", "_")
     own = [argument for argument in arguments if named(argument) in names]
@@ -170,10 +175,10 @@ def split_arguments(arguments: Sequence[str], kind: Any) -> tuple[list[str], lis
 
 
 def single_run(paths: list[Path]) -> Path:
-    """Return the one run directory.
+    """Return the only run directory of a command line.
 
     Raises:
-      ConfigError: there is none, or there are more.
+      ConfigError: no path is given, or more than one.
     """
     if len(paths) != 1:
         raise ConfigError("give one run directory")

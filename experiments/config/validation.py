@@ -1,4 +1,4 @@
-"""What a configuration may be: the names that exist, and every field's range."""
+"""Validation of a configuration: the names that exist, and the range of every field."""
 
 import difflib
 import math
@@ -12,9 +12,9 @@ from .library import algorithm_table, has_forward_model, has_predictor
 from .schema import Config
 
 CONF = Path(__file__).parents[1] / "conf"
-GROUPS = ("env", "algo")  # of which every run names one each
+GROUPS = ("env", "algo")  # every run names one choice of each
 ALL_GROUPS = (*GROUPS, "preset")
-GENERIC_ENVS = {  # environments that are named by env.id=, each with one such task
+GENERIC_ENVS = {  # environments whose task is given by env.id=, with an example
     "envpool": "Pong-v5",
     "gymnasium": "CartPole-v1",
     "MiniGrid": "MiniGrid-DoorKey-8x8-v0",
@@ -22,7 +22,10 @@ GENERIC_ENVS = {  # environments that are named by env.id=, each with one such t
 
 
 def group_choices(group: str) -> dict[str, str]:
-    """Return the names of a config group with what each is: from its file, or from the table."""
+    """Return the choices of a config group, each with a description.
+
+    The description comes from the table of algorithms, or from a comment in the choice's file.
+    """
     about = {}
     if group == "algo":
         about = {name: row.summary for name, row in algorithm_table().items()}
@@ -35,16 +38,22 @@ def group_choices(group: str) -> dict[str, str]:
 
 
 def config_options(node: Any = Config, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every option's dotted name with its dataclass field."""
+    """Yield the dotted name and the dataclass field of every option."""
     for entry in fields(node):
         if is_dataclass(entry.type):
             yield from config_options(entry.type, f"{prefix}{entry.name}.")
-        elif entry.name != "name":  # of a group's choice; not for changing
+        elif entry.name != "name":  # set by the config group; not user-editable
             yield prefix + entry.name, entry
 
 
 def unknown_name_error(what: str, name: str, known: Iterable[str]) -> ConfigError:
-    """The refusal of a name, with the ones it may have meant."""
+    """Return the error for an unknown name, with the known names that are similar.
+
+    Args:
+      what: the kind of thing that is named, such as "option".
+      name: the unknown name.
+      known: all known names.
+    """
     known = sorted(known)
     lower = {k.lower(): k for k in known}
     near = difflib.get_close_matches(name.lower(), lower, n=3, cutoff=0.5)
@@ -58,7 +67,7 @@ def unknown_name_error(what: str, name: str, known: Iterable[str]) -> ConfigErro
 
 
 def get_option(config: Config, name: str) -> Any:
-    """The value of an option by its dotted name.
+    """Return the value of an option by its dotted name.
 
     >>> get_option(Config(), "ppo.epochs")
     4
@@ -70,10 +79,10 @@ def get_option(config: Config, name: str) -> Any:
 
 
 def validate_config(config: Any) -> Config:
-    """Return the configuration once every field, every size and their combination is possible.
+    """Check every field, every size and their combination, and return the configuration.
 
     Raises:
-      ConfigError: the first that is not.
+      ConfigError: a value or a combination is not allowed; the message names the first.
     """
     for name, entry in config_options():
         value = get_option(config, name)
@@ -95,7 +104,11 @@ def validate_config(config: Any) -> Config:
 
 
 def check_algorithm_name(config: Config) -> None:
-    """Raise unless the algorithm exists and has the objective and the signal of its name."""
+    """Check that the algorithm exists and has the objective and the signal of its name.
+
+    Raises:
+      ConfigError: the algorithm is unknown, or its objective or its signal is another one.
+    """
     algo = config.algo
     if algo.module is None and algo.name not in group_choices("algo"):
         raise unknown_name_error("algo", algo.name, group_choices("algo"))
@@ -112,7 +125,11 @@ def check_algorithm_name(config: Config) -> None:
 
 
 def check_minibatches(config: Config) -> None:
-    """Raise unless the minibatch sizes divide the rollout."""
+    """Check that the minibatch sizes divide the rollout.
+
+    Raises:
+      ConfigError: a minibatch size does not divide the rollout.
+    """
     for name in ("ppo", "algo") if config.algo.name != "ppo" else ("ppo",):
         size = getattr(config, name).minibatch_size
         if config.rows % size:
@@ -123,7 +140,11 @@ def check_minibatches(config: Config) -> None:
 
 
 def check_rewards(config: Config) -> None:
-    """Raise unless there is a reward to learn from, and no scale of one that is not there."""
+    """Check that there is a reward to learn from, and no option for a missing reward.
+
+    Raises:
+      ConfigError: all rewards have weight 0, or an option does not fit the algorithm.
+    """
     if config.algo.name == "ppo":
         if config.algo.eta != 0:
             raise ConfigError("algo.eta: algo=ppo has no intrinsic reward to scale")
@@ -139,7 +160,16 @@ def check_rewards(config: Config) -> None:
 
 
 def check_range(name: str, value: Any, limits: Any) -> None:
-    """Raise unless the value is inside its range."""
+    """Check that the value of an option is inside its range.
+
+    Args:
+      name: the name of the option, for error messages.
+      value: the value of the option.
+      limits: the metadata of the option's field: low, high, above and choices.
+
+    Raises:
+      ConfigError: the value is not finite, or not allowed.
+    """
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}={value}: must be finite")
     if limits["choices"] is not None and value not in limits["choices"]:

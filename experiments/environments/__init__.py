@@ -1,5 +1,5 @@
-"""The environments of a run, stepped together, and how their observations are read.
+"""The environments of a run, stepped together, and the readers of their observations.
 
-A pool holds the environments of all seeds of one task, of envpool or of gymnasium, and gives arrays
-[S, N, ...]. Knows nothing of agents, run directories or logs.
+A pool holds the environments of all seeds of one task, from envpool or from gymnasium, and returns
+arrays [S, N, ...]. Knows nothing of agents, run directories or logs.
 """

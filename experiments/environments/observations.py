@@ -1,4 +1,4 @@
-"""How observations are read: images as uint8 frames, everything else as one float32 vector."""
+"""Readers of observations: images as uint8 frames, everything else as one float32 vector."""
 
 from typing import Any
 
@@ -7,18 +7,18 @@ import numpy as np
 from ..config.envpool_tasks import gym
 from ..system.errors import ConfigError
 
-UNBOUNDED = 1e6  # a bound beyond this is none
+UNBOUNDED = 1e6  # a larger bound counts as no bound
 
 
 def leaf_spaces(space: Any, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
-    """The plain spaces inside a dict space, with their paths, in order of their names."""
+    """Return the spaces inside a dict space that are not dicts, with their paths, by name."""
     if isinstance(space, gym.spaces.Dict):
         return [leaf for k in sorted(space.spaces) for leaf in leaf_spaces(space[k], (*path, k))]
     return [(path, space)]
 
 
 class ImageReader:
-    """uint8 images, channels last."""
+    """A reader of uint8 images, channels last."""
 
     unbounded: tuple[bool, ...] = ()
 
@@ -33,7 +33,7 @@ class ImageReader:
 
 
 class VectorReader:
-    """Everything else as one float32 vector; bounded components scaled to [-1, 1]."""
+    """A reader of all other spaces as one float32 vector; bounded parts scaled to [-1, 1]."""
 
     def __init__(self, space: Any):
         self.leaves = leaf_spaces(space)
@@ -48,6 +48,11 @@ class VectorReader:
 
     @staticmethod
     def bounds(space: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and the upper bound of each component of a space.
+
+        Raises:
+          ConfigError: observations of this space cannot be read.
+        """
         if isinstance(space, gym.spaces.Discrete):  # one-hot
             return -np.ones(int(space.n)), np.ones(int(space.n))
         if isinstance(space, gym.spaces.MultiBinary):
@@ -75,17 +80,21 @@ class VectorReader:
 
 
 class MiniGridReader:
-    """MiniGrid's view and the agent's direction, one-hot: a cell's numbers name things.
+    """A reader of MiniGrid's view and the agent's direction as one-hot vectors.
 
-    The mission is not read, so that what only it tells (which of several objects) stays unknown.
+    They are one-hot because the numbers of a grid cell are categories. The mission is not read, so
+    information that only the mission contains (which of several objects) stays unknown.
     """
 
     unbounded: tuple[bool, ...] = ()
-    kinds = (11, 6, 4)  # objects, colours, and states: a door's, or a direction
+    kinds = (11, 6, 4)  # numbers of objects, colours and states (of a door, or a direction)
 
     @staticmethod
     def matches(space: Any, task: str) -> bool:
-        """Whether this is such a view; BabyAI's is too, but says in its mission what to do."""
+        """Return True if the space is a MiniGrid view.
+
+        BabyAI has the same space, but is excluded, because its mission states the goal.
+        """
         if not isinstance(space, gym.spaces.Dict) or "BabyAI" in task:
             return False
         image, direction = space.spaces.get("image"), space.spaces.get("direction")
@@ -112,10 +121,10 @@ def make_reader(space: Any, task: str) -> ImageReader | VectorReader | MiniGridR
 
     Args:
       space: the observation space of one environment.
-      task: its name.
+      task: the name of the task.
 
     Raises:
-      ConfigError: such observations cannot be read.
+      ConfigError: observations of this space cannot be read.
     """
     if (
         isinstance(space, gym.spaces.Box)

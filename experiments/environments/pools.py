@@ -1,4 +1,4 @@
-"""One pool of envpool environments for all seeds of a run, read as frames."""
+"""Pools of environments for all seeds of a run, with observations read as frames."""
 
 import sys
 from typing import Any, NamedTuple, cast
@@ -11,25 +11,30 @@ from ..config.validation import unknown_name_error
 from ..system.errors import ConfigError
 from .observations import make_reader
 
-MONTEZUMA_ROOM = 3  # the byte of RAM that numbers the room
+MONTEZUMA_ROOM = 3  # index of the RAM byte that holds the room number
 
 
 class EnvStep(NamedTuple):
-    """What one step of every environment returned; all arrays are [S, N, ...]."""
+    """The result of one step of every environment; all arrays are [S, N, ...]."""
 
-    frame: np.ndarray  # the newest observation; an episode's true last one where done
+    frame: np.ndarray  # the newest observation; where done, the true last one of the episode
     reward: np.ndarray  # float32, the training reward
-    score: np.ndarray  # float32, the game's own
+    score: np.ndarray  # float32, the reward of the game itself
     done: np.ndarray
     truncated: np.ndarray
-    valid: np.ndarray  # False where the environment reset itself instead
+    valid: np.ndarray  # False where the environment was reset instead of stepped
     room: np.ndarray | None  # uint8, in Montezuma's Revenge
 
 
 def env_seeds(seed: int, num_envs: int, start: int) -> list[int]:
-    """One seed per environment, hashed from the run's seed and the iteration it starts at.
+    """Return one seed per environment, hashed from the run's seed and its start iteration.
 
-    A resumed run therefore begins fresh streams, and seeds k and k + 1 share none.
+    A resumed run therefore has new random streams, and seeds k and k + 1 share no stream.
+
+    Args:
+      seed: the seed of the agent.
+      num_envs: the number of environments of this seed.
+      start: the iteration that the run starts at.
     """
     return [
         int(np.random.SeedSequence([seed, env, start]).generate_state(1)[0] & 0x7FFFFFFF)
@@ -40,19 +45,31 @@ def env_seeds(seed: int, num_envs: int, start: int) -> list[int]:
 class Pool:
     """S x N environments of one task, stepped together.
 
-    A reset takes a step of its own, in which the action is ignored: that row is not valid.
+    A reset takes one separate step, in which the action is ignored: that row is not valid.
 
     Attributes:
-      num_actions: A.
-      shape, dtype: of one frame: uint8 [H, W, C] or float32 [D].
-      unbounded: which components of a vector have no bounds.
-      rooms: whether steps tell the room of Montezuma's Revenge.
+      num_actions: the number of actions A.
+      shape: the shape of one frame, [H, W, C] or [D].
+      dtype: the dtype of one frame, uint8 for [H, W, C] or float32 for [D].
+      unbounded: for each component of a vector, whether it has no bounds.
+      rooms: whether steps contain the room of Montezuma's Revenge.
     """
 
     rooms = False
 
     def __init__(self, config: EnvConfig, seeds: int, num_envs: int, space: Any, actions: Any):
-        """Take in the spaces of one environment."""
+        """Set the sizes and the reader from the spaces of one environment.
+
+        Args:
+          config: the task and how it is read.
+          seeds: the number of seeds S.
+          num_envs: the number of environments N of each seed.
+          space: the observation space of one environment.
+          actions: the action space of one environment.
+
+        Raises:
+          ConfigError: the actions are not discrete, or the observations cannot be read.
+        """
         if not isinstance(actions, gym.spaces.Discrete):
             raise ConfigError(
                 f"env.id={config.id} has {type(actions).__name__} actions; "
@@ -66,13 +83,23 @@ class Pool:
         self.num_actions = int(actions.n)
 
     def split(self, x: np.ndarray) -> np.ndarray:
-        """From [S * N, ...] to [S, N, ...]."""
+        """Reshape an array from [S * N, ...] to [S, N, ...]."""
         return x.reshape(*self.rows, *x.shape[1:])
 
     def step_of(
         self, observation, reward, score, terminated, truncated, valid, room=None
     ) -> EnvStep:
-        """A step from what all environments returned, [S * N, ...] each."""
+        """Return the step, made from the results of all environments.
+
+        Args:
+          observation: the observations, arrays [S * N, ...].
+          reward: the task's reward, from which the training reward is made, [S * N].
+          score: the reward of the game itself, [S * N].
+          terminated: whether the task ended the episode, bool [S * N].
+          truncated: whether a limit ended the episode, bool [S * N].
+          valid: False where the environment was reset instead of stepped, bool [S * N].
+          room: the room of Montezuma's Revenge, uint8 [S * N], or None.
+        """
         if self.config.reward == "sign":
             reward = np.maximum(0, np.sign(reward))
         elif self.config.reward == "goal":
@@ -88,15 +115,15 @@ class Pool:
         )
 
     def reset(self) -> np.ndarray:
-        """The first frame of every environment, [S, N, *frame]."""
+        """Reset every environment and return the first frames, [S, N, *frame]."""
         raise NotImplementedError
 
     def send(self, action: np.ndarray) -> None:
-        """Begin to step every environment with its action, int [S, N]."""
+        """Start a step of every environment with its action, int [S, N]."""
         raise NotImplementedError
 
     def receive(self) -> EnvStep:
-        """What the step that was begun returned, when it is over."""
+        """Wait for the end of the started step and return its result."""
         raise NotImplementedError
 
     def step(self, action: np.ndarray) -> EnvStep:
@@ -110,7 +137,7 @@ class Pool:
 
 
 class EnvpoolPool(Pool):
-    """Environments of envpool, in its own threads."""
+    """A pool of envpool environments, which run in the threads of envpool."""
 
     def __init__(self, config: EnvConfig, seeds: list[list[int]]):
         family_of(config.id)
@@ -122,7 +149,7 @@ class EnvpoolPool(Pool):
                 seed=[seed for own in seeds for seed in own],
                 **config.options,
             )
-        except Exception as error:  # envpool raises many kinds; all are about its input
+        except Exception as error:  # envpool raises many types; all concern its input
             message = str(error).strip().splitlines() or [repr(error)]
             raise ConfigError(f"envpool cannot make {config.id}: {message[0]}") from None
         space, actions = self.envs.observation_space, self.envs.action_space
@@ -150,14 +177,14 @@ class EnvpoolPool(Pool):
 
 
 class GymnasiumPool(Pool):
-    """Environments of `gymnasium.make_vec`, the user's own among them."""
+    """A pool made by `gymnasium.make_vec`, also for environments that the user wrote."""
 
     def __init__(self, config: EnvConfig, seeds: list[list[int]]):
         count = len(seeds) * len(seeds[0])
         if "" not in sys.path:
-            sys.path.insert(0, "")  # env.id=my_file:MyTask-v0 is looked for here first
+            sys.path.insert(0, "")  # find env.id=my_file:MyTask-v0 in the working directory
         try:
-            # Not a task's own vector form: those differ in what they take and how they reset.
+            # Not the vector version of a task: such versions differ in options and in resets.
             options = {"vectorization_mode": "sync"} | config.options
             self.envs = gym.make_vec(config.id, num_envs=count, **options)
         except gym.error.NameNotFound:
@@ -202,18 +229,18 @@ def make_pools(
     groups: int = 1,
     local_envs: slice = slice(None),
 ) -> list[Pool]:
-    """The environments of a configuration, in groups that step apart from each other.
+    """Return the environments of a configuration, in pools that step independently.
 
     Args:
       config: the task and how it is read.
-      seeds: one per agent.
-      num_envs: environments of each.
-      start: the iteration the run starts at.
-      groups: in how many pools; the streams of the environments do not depend on it.
+      seeds: one seed per agent.
+      num_envs: the number of environments of each seed.
+      start: the iteration that the run starts at.
+      groups: the number of pools; the random streams of the environments do not depend on it.
       local_envs: the environments of each seed that this host steps.
 
     Raises:
-      ConfigError: this task cannot be made with these options, or not be trained on.
+      ConfigError: the task cannot be made with these options, or cannot be trained on.
     """
     kind = EnvpoolPool if config.suite == "envpool" else GymnasiumPool
     streams = [env_seeds(seed, num_envs, start)[local_envs] for seed in seeds]
@@ -224,6 +251,16 @@ def make_pools(
 
 
 def make_pool(config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0) -> Pool:
-    """All of them in one group. See `make_pools`."""
+    """Return all environments of a configuration in one pool. See `make_pools`.
+
+    Args:
+      config: the task and how it is read.
+      seeds: one seed per agent.
+      num_envs: the number of environments of each seed.
+      start: the iteration that the run starts at.
+
+    Raises:
+      ConfigError: the task cannot be made with these options, or cannot be trained on.
+    """
     (pool,) = make_pools(config, seeds, num_envs, start)
     return pool

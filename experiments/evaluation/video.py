@@ -55,13 +55,13 @@ def best_episode(episodes: list[PlayedEpisode]) -> int:
 
 
 def draw_traces(
-    episode: PlayedEpisode, episode_novelty: np.ndarray, names: list[str]
+    episode: PlayedEpisode, novelty: np.ndarray, names: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """The drawing beside the game, uint8[HEIGHT, SIDE, 3], and the column of each step in it."""
     figure, axes = make_panels(3, 1, SIDE / 100, HEIGHT / 100, sharex=True)
     top, middle, bottom = axes[:, 0]
-    steps = np.arange(len(episode_novelty))
-    top.plot(steps, episode_novelty, color="#0072B2", linewidth=1)
+    steps = np.arange(len(novelty))
+    top.plot(steps, novelty, color="#0072B2", linewidth=1)
     top.set_ylabel("novelty")
     for k, name in enumerate(names):
         colour = ("#000000", "#D55E00")[k]
@@ -80,10 +80,10 @@ def draw_traces(
 
 
 def film_frames(
-    render_episode: Iterator[np.ndarray], side: np.ndarray, columns: np.ndarray
+    pictures: Iterator[np.ndarray], side: np.ndarray, columns: np.ndarray
 ) -> Iterator[np.ndarray]:
     """The film's frames, uint8[HEIGHT, *, 3]: the game, and the traces with a line at now."""
-    for picture, column in zip(render_episode, columns, strict=False):
+    for picture, column in zip(pictures, columns, strict=False):
         height, width = picture.shape[:2]
         wide = 2 * round(HEIGHT * width / height / 2)
         game = cv2.resize(
@@ -128,7 +128,7 @@ def write_film(
 
 
 def most_novel_steps(
-    episode_novelty: np.ndarray, count: int = SHEET, apart: int = APART
+    novelty: np.ndarray, count: int = SHEET, apart: int = APART
 ) -> np.ndarray:
     """The steps of the highest novelty, none nearer to another than `apart`, in order of time.
 
@@ -136,7 +136,7 @@ def most_novel_steps(
     [1, 4]
     """
     chosen: list[int] = []
-    for step in np.argsort(-episode_novelty, kind="stable").tolist():
+    for step in np.argsort(-novelty, kind="stable").tolist():
         if all(abs(step - other) >= apart for other in chosen):
             chosen.append(step)
         if len(chosen) == count:
@@ -145,17 +145,17 @@ def most_novel_steps(
 
 
 def draw_contact_sheet(
-    render_episode: dict[int, np.ndarray], episode_novelty: np.ndarray, out: Path
+    pictures: dict[int, np.ndarray], novelty: np.ndarray, out: Path
 ) -> Path:
     """The most novel frames with their steps and their signal, as a PNG."""
-    height, width = next(iter(render_episode.values())).shape[:2]
-    rows = -(-len(render_episode) // 4)
+    height, width = next(iter(pictures.values())).shape[:2]
+    rows = -(-len(pictures) // 4)
     figure, axes = make_panels(rows, 4, 8.4, rows * (2.1 * height / width + 0.3))
     for one in axes.flat:
         one.axis("off")
-    for one, (step, picture) in zip(axes.flat, render_episode.items(), strict=False):
+    for one, (step, picture) in zip(axes.flat, pictures.items(), strict=False):
         one.imshow(picture)
-        one.set_title(f"step {step:,}: {episode_novelty[step]:.3g}", fontsize=9)
+        one.set_title(f"step {step:,}: {novelty[step]:.3g}", fontsize=9)
     return save_figure(figure, out.parent, out.name)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ..storage.run_directory import write_atomically
 
@@ -56,7 +56,7 @@ def write_page(
       refresh: seconds after which a browser loads it again; 0: never.
     """
     loader = Environment(
-        loader=PackageLoader("experiments", "templates"),
+        loader=FileSystemLoader(Path(__file__).parents[1] / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

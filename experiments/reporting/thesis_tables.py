@@ -11,7 +11,7 @@ from .html_page import Table
 from .plot_style import display_title
 from .seed_statistics import bootstrap_interval, interquartile_mean, mean_improvement
 
-THESIS = Path(__file__).parent / "data" / "thesis.csv"
+THESIS = Path(__file__).parents[1] / "data" / "thesis.csv"
 TABLES = {
     "5.6": "external return per episode, mean over all training episodes, SND",
     "5.7": "best episode's game score, Atari",

@@ -1,4 +1,5 @@
-"""A run directory and what is in it: configuration, logs, checkpoints, trackers; reading them back.
+"""A run directory: writing and reading its configuration, logs, checkpoints and trackers.
 
-What is written survives a kill at any moment. Knows nothing of agents: a state is a tree of arrays.
+Written data survives a kill of the process at any moment. Knows nothing of agents: a state is a
+tree of arrays.
 """

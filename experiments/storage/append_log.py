@@ -1,4 +1,4 @@
-"""A log that is only ever appended to, and can be cut back to where it once stood."""
+"""A log that is only appended to, and can be truncated to an earlier mark."""
 
 import errno
 import hashlib
@@ -8,39 +8,39 @@ from typing import TypedDict
 
 
 class LogMark(TypedDict):
-    """Where a log stood: its length in bytes and the digest of them."""
+    """A position in a log: its length in bytes and the digest of these bytes."""
 
     bytes: int
     sha256: str
 
 
 class AppendLog:
-    """A text file that holds whole lines, written through to the disk whenever it is marked."""
+    """A text file of whole lines, written to the disk with fsync whenever it is marked."""
 
     def __init__(self, path: Path, mark: LogMark | None = None):
-        """Open it at a mark, or empty. What stood after the mark is cut off.
+        """Open the file and truncate it to the mark, or to nothing without a mark.
 
         Raises:
-          ValueError: what stands before the mark is not what stood there when it was made.
+          ValueError: the file is missing, or its content before the mark has changed.
         """
         self.path = path
         kept = read_until_mark(path, mark) if mark is not None else b""
         self.digest = hashlib.sha256(kept)
-        self.size = len(kept)  # as it stands in the file
+        self.size = len(kept)  # bytes in the file, without `pending`
         self.pending = bytearray()
         self.file = path.open("r+b" if path.exists() else "x+b", buffering=0)
         self.file.truncate(self.size)
         self.file.seek(self.size)
 
     def write(self, text: str) -> None:
-        """Append, with the next flush."""
+        """Append a text, which the next flush writes."""
         self.pending += text.encode()
 
     def flush(self) -> None:
-        """Hand what was written to the system, all of it or nothing: it outlives this process.
+        """Write all pending text to the file, or nothing, so that it survives this process.
 
         Raises:
-          OSError: there is no room for it.
+          OSError: the disk is full.
         """
         data, self.pending = bytes(self.pending), bytearray()
         if data and self.file.write(data) != len(data):
@@ -50,21 +50,21 @@ class AppendLog:
         self.size += len(data)
 
     def mark(self) -> LogMark:
-        """Write it through to the disk, where it outlives a power cut, and say where it stands."""
+        """Flush and fsync the log, so that it survives a power failure, and return its mark."""
         self.flush()
         os.fsync(self.file.fileno())
         return {"bytes": self.size, "sha256": self.digest.hexdigest()}
 
     def close(self) -> None:
-        """Close the file; what was not flushed is not in it."""
+        """Close the file; pending text is lost."""
         self.file.close()
 
 
 def read_until_mark(path: Path, mark: LogMark) -> bytes:
-    """What a log held when it was marked.
+    """Return the content of a log up to a mark.
 
     Raises:
-      ValueError: it holds something else now.
+      ValueError: the file is missing, or its content before the mark has changed.
     """
     try:
         with path.open("rb") as file:

@@ -1,7 +1,7 @@
-"""Checkpoints: written while training goes on, whole or not at all, verified before they are read.
+"""Checkpoints: written atomically during training, and verified before they are read.
 
 checkpoints/<iteration>/arrays.npz     every array by its path in the state; `numpy.load` reads it
-checkpoints/<iteration>/manifest.json  its digest, and where the logs stood
+checkpoints/<iteration>/manifest.json  the digest of the arrays, and the marks of the logs
 """
 
 import hashlib
@@ -21,68 +21,74 @@ from sndjax import TrainState
 
 from ..system.files import fsync_path, temporary_name
 
-KEEP = 2  # the newest checkpoints that stay; the best one stays beside them
+KEEP = 2  # number of newest checkpoints to keep; the best one is kept too
 MANIFEST = "manifest.json"
 ARRAYS = "arrays.npz"
 
 
 class CheckpointError(Exception):
-    """What stands on the disk is not what was written, or does not fit."""
+    """The error for a checkpoint that differs from what was written, or does not fit."""
 
 
 class Checkpoints:
     """The checkpoints of a run directory, numbered by iteration."""
 
     def __init__(self, path: Path, writes: bool = True):
-        """Nothing is written yet; of several hosts one writes."""
+        """Set the directory of the checkpoints; `writes` is True on only one of several hosts."""
         self.writes = writes
         self.path = (path / "checkpoints").resolve()
-        self.newest: int | None = None  # iteration of the last one written or restored
+        self.newest: int | None = None  # iteration of the last checkpoint written or restored
         self.writer: threading.Thread | None = None
         self.error: BaseException | None = None
 
     def steps(self) -> list[int]:
-        """The iterations that have a checkpoint, in order."""
+        """Return the iterations that have a checkpoint, in order."""
         if not self.path.is_dir():
             return []
         names = [place.name for place in self.path.iterdir()]
         return sorted(int(name) for name in names if re.fullmatch(r"[0-9]{1,12}", name))
 
     def save(self, iteration: int, state: TrainState, more: dict[str, Any]) -> None:
-        """Begin to write the state, as it is now; one is written at a time.
+        """Start an asynchronous write of the current state; only one write runs at a time.
 
         Args:
-          iteration: how many the state has seen.
-          state: it may be donated as soon as this returns.
-          more: what else the manifest holds; `saved_return` decides which is the best.
+          iteration: the number of iterations that the state has completed.
+          state: the state; it may be donated as soon as this returns.
+          more: further entries of the manifest; `saved_return` reads from it which is the best.
 
         Raises:
-          OSError: the one before could not be written.
+          OSError: the previous checkpoint could not be written.
         """
         self.wait()
         if not self.writes:
             self.newest = iteration
             return
-        tree = jax.tree.map(np.array, unwrap_key(state))  # a copy: the buffers will be used again
+        tree = jax.tree.map(np.array, unwrap_key(state))  # a copy: the buffers are reused
         self.writer = threading.Thread(
             target=self.write_in_background, args=(iteration, tree, more)
         )
         self.writer.start()
 
     def write_in_background(self, iteration: int, tree: Any, more: dict[str, Any]) -> None:
-        """Write one and remove what it makes superfluous."""
+        """Write one checkpoint and remove the checkpoints that are no longer needed.
+
+        Args:
+          iteration: the number of iterations that the state has completed.
+          tree: a copy of the state, as numpy arrays.
+          more: further entries of the manifest.
+        """
         try:
             write_tree(self.path / str(iteration), tree, {"iteration": iteration} | more)
             self.newest = iteration
             self.prune()
-        except Exception as error:  # raised again by `wait`, in the thread that can answer it
+        except Exception as error:  # raised again by `wait`, in the thread that can handle it
             self.error = error
 
     def wait(self) -> None:
-        """Return when the one that is being written is whole on the disk.
+        """Wait until the pending checkpoint is completely on the disk.
 
         Raises:
-          OSError: it could not be written.
+          OSError: the checkpoint could not be written.
         """
         self.join()
         if self.error is not None:
@@ -91,21 +97,22 @@ class Checkpoints:
             raise OSError(f"a checkpoint: {cause}{self.last_good_message()}") from error
 
     def join(self) -> None:
-        """Return when nothing is being written."""
+        """Wait until no write is running."""
         if self.writer is not None:
             self.writer.join()
             self.writer = None
 
     def last_good_message(self) -> str:
-        """The last good one, in words."""
+        """Return the part of an error message that names the last good checkpoint, or ""."""
         return (
             "" if self.newest is None else f"; the checkpoint of iteration {self.newest} is intact"
         )
 
     def prune(self) -> None:
-        """Keep the newest, and of all the one with the best return of the last 100 episodes.
+        """Keep the newest checkpoints and the one with the best return of the last 100 episodes.
 
-        Any beyond the newest is of a future that is being collected again.
+        Checkpoints after the last one written belong to iterations that are collected again; they
+        are removed.
         """
         assert self.newest is not None
         steps = [step for step in self.steps() if step <= self.newest]
@@ -120,17 +127,17 @@ class Checkpoints:
     def find(
         self, fits: Callable[[dict[str, Any]], None]
     ) -> tuple[int | None, dict[str, Any], list[str]]:
-        """The newest checkpoint that is whole, every byte compared with its digest.
+        """Find the newest complete checkpoint, with every byte compared with its digest.
 
         Args:
-          fits: raises ValueError where the run's other files are not those of a manifest.
+          fits: a function that raises ValueError if the run's other files do not match a manifest.
 
         Returns:
-          Its iteration, its manifest, and a line about each newer one that cannot be used. With
-          no checkpoint at all: None, nothing, no line.
+          The iteration, the manifest, and a line about each newer checkpoint that cannot be used.
+          Without any checkpoint: None, {} and [].
 
         Raises:
-          Damaged: there are some, and none can be used.
+          CheckpointError: there are checkpoints, but none can be used.
         """
         said: list[str] = []
         for step in reversed(self.steps()):
@@ -146,14 +153,15 @@ class Checkpoints:
         return None, {}, []
 
     def load(self, step: int, like: TrainState) -> TrainState:
-        """The state of one checkpoint.
+        """Return the state of one checkpoint.
 
         Args:
-          step: its iteration.
-          like: the state's shapes and dtypes.
+          step: the iteration of the checkpoint.
+          like: the shapes and dtypes of the state.
 
         Raises:
-          Damaged: it is not whole, not of these shapes, or of another iteration.
+          CheckpointError: the checkpoint is not complete, has other shapes or dtypes, or holds
+            another iteration.
         """
         tree, _ = read_tree(self.path / str(step), unwrapped_shapes(like))
         if np.any(np.asarray(tree.iteration) != step):
@@ -162,17 +170,17 @@ class Checkpoints:
 
 
 def unwrap_key(state: TrainState) -> TrainState:
-    """The state with its key as plain integers."""
+    """Return the state with its random key as plain integers."""
     return state._replace(key=jax.random.key_data(state.key))
 
 
 def unwrapped_shapes(like: TrainState) -> Any:
-    """The shapes and dtypes of a raw state."""
+    """Return the shapes and dtypes of a state after `unwrap_key`."""
     return jax.eval_shape(unwrap_key, like)
 
 
 def saved_return(path: Path) -> float:
-    """The return that a checkpoint was written at, or -inf."""
+    """Return the last-100 return in the manifest of a checkpoint, or -inf."""
     try:
         found = read_manifest(path)["last100"]
     except (CheckpointError, KeyError):
@@ -181,10 +189,15 @@ def saved_return(path: Path) -> float:
 
 
 def write_tree(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
-    """Write a tree of arrays so that it stands at `path` whole or not at all.
+    """Write a tree of arrays to the directory `path`, atomically.
+
+    Args:
+      path: the new directory; an existing one is replaced.
+      tree: a pytree of numpy arrays.
+      manifest: the entries of the manifest; the digest of the arrays is added.
 
     Raises:
-      OSError: the disk is full, say; nothing is left of it.
+      OSError: for example, the disk is full; no part of the new directory is left.
     """
     new = path.with_name(temporary_name(path.name))
     try:
@@ -199,9 +212,9 @@ def write_tree(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
         (new / MANIFEST).write_text(f'{{"sha256": "{seal}", {body[1:]}')
         for place in (*new.rglob("*"), new):
             fsync_path(place)
-        remove_directory(path)  # of the same iteration, damaged
+        remove_directory(path)  # a damaged one of the same iteration
         new.rename(path)
-        for place in (path.parent, path.parent.parent):  # whose names are on the disk with it
+        for place in (path.parent, path.parent.parent):  # so that the new names are on the disk too
             fsync_path(place)
     except BaseException:
         remove_directory(new)
@@ -209,10 +222,10 @@ def write_tree(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """The manifest of what stands at `path`, as it was written.
+    """Return the manifest of the checkpoint at `path`, compared with its digest.
 
     Raises:
-      Damaged: it is not.
+      CheckpointError: the manifest is missing, or is not what was written.
     """
     try:
         manifest = json.loads((path / MANIFEST).read_text())
@@ -229,10 +242,14 @@ def read_manifest(path: Path) -> dict[str, Any]:
 def verify_manifest(
     path: Path, fits: Callable[[dict[str, Any]], None] = lambda manifest: None
 ) -> dict[str, Any]:
-    """The manifest at `path`, after every byte of the arrays was compared with their digest.
+    """Return the manifest at `path` after comparing every byte of the arrays with their digest.
+
+    Args:
+      path: the directory of the checkpoint.
+      fits: a function that raises an exception if the run's other files do not match the manifest.
 
     Raises:
-      Damaged: in a few words, what is wrong.
+      CheckpointError: the checkpoint cannot be used; the message says why in a few words.
     """
     manifest = read_manifest(path)
     try:
@@ -245,22 +262,26 @@ def verify_manifest(
         raise CheckpointError(f"{MANIFEST} says nothing of {error}") from None
     except CheckpointError:
         raise
-    except Exception as error:  # what a manifest from elsewhere leads to is open
+    except Exception as error:  # an untrusted manifest may cause any exception
         raise CheckpointError(str(error) or type(error).__name__) from None
     return manifest
 
 
 def read_tree(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
-    """The tree at `path` and its manifest.
+    """Return the tree at `path` and its manifest.
+
+    Args:
+      path: the directory of the checkpoint.
+      like: a pytree with the expected shapes and dtypes.
 
     Raises:
-      Damaged: it is not what was written, or not of the shapes of `like`.
+      CheckpointError: the tree is not what was written, or does not match `like`.
     """
     manifest = verify_manifest(path)
     try:
         with np.load(path / ARRAYS, allow_pickle=False) as archive:
             found = dict(archive)
-    except Exception as error:  # what a digest does not show is written elsewhere
+    except Exception as error:  # the digest fits, but the file may still be invalid
         raise CheckpointError(f"{ARRAYS}: {str(error) or type(error).__name__}") from None
     leaves = []
     for name, wanted in named_leaves(like):
@@ -273,22 +294,22 @@ def read_tree(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
 
 
 def named_leaves(tree: Any) -> list[tuple[str, Any]]:
-    """Every array of a tree with its path, such as params/ppo/torso/kernel."""
+    """Return every array of a tree with its path, such as params/ppo/torso/kernel."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), x) for path, x in leaves]
 
 
 def describe_array(array: Any) -> str:
-    """The dtype and the shape of an array, or of the want of one."""
+    """Describe an array as "dtype[shape]", or "none"."""
     return "none" if array is None else f"{array.dtype}{list(array.shape)}"
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 digest of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def remove_directory(path: Path) -> None:
-    """Remove a directory, whatever of it there is."""
+    """Remove a directory and its content; errors are ignored."""
     shutil.rmtree(path, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Episodes as they end: their lengths, returns and rooms, and a seed's summary of them."""
+"""Finished episodes: their lengths, returns and rooms, and a summary of each seed."""
 
 from collections import deque
 from typing import Any, NamedTuple
@@ -22,6 +22,13 @@ class EpisodeTracker:
     """The running sums of every environment's current episode."""
 
     def __init__(self, seeds: list[int], num_envs: int, rooms: bool):
+        """Set all sums to zero.
+
+        Args:
+          seeds: the seed of each agent.
+          num_envs: the number of environments of each seed.
+          rooms: whether rooms are counted.
+        """
         self.seeds = seeds
         shape = (len(seeds), num_envs)
         self.length = np.zeros(shape, np.int64)
@@ -36,13 +43,14 @@ class EpisodeTracker:
         rewards: tuple[Any, Any, Any],
         room: np.ndarray | None,
     ) -> list[list[Episode]]:
-        """The episodes that ended in a rollout, a list per seed in order of time.
+        """Add a rollout and return the episodes that ended in it, a list per seed in time order.
 
         Args:
-          start: rows that each seed had collected before.
-          valid, done: bool [S, T, N].
-          rewards: external, score and intrinsic, [S, T, N]; reset rows count for nothing.
-          room: uint8 [S, T, N] or None.
+          start: the number of rows that each seed had collected before.
+          valid: False at reset rows, bool [S, T, N].
+          done: whether the episode ended with the row, bool [S, T, N].
+          rewards: external, score and intrinsic, [S, T, N]; values at reset rows are ignored.
+          room: the room of each row, uint8 [S, T, N], or None.
         """
         ended: list[list[Episode]] = [[] for _ in self.seeds]
         _, steps, envs = valid.shape
@@ -85,6 +93,7 @@ class EpisodeSummary:
         self.last: deque[float] = deque(maxlen=100)
 
     def add(self, episode: Episode) -> None:
+        """Add a finished episode."""
         self.episodes += 1
         self.total += episode.ext_return
         self.best = max(self.best, episode.ext_return)
@@ -93,10 +102,15 @@ class EpisodeSummary:
 
     @property
     def last100(self) -> float | None:
+        """The mean return of the last 100 episodes, or None before the first."""
         return float(np.mean(self.last)) if self.last else None
 
     def figures(self) -> dict[str, float | int | None]:
-        """`mean_ext_return` over all episodes, the best of each, the last hundred's mean."""
+        """Return the statistics by name.
+
+        The mean return is over all episodes, the maxima are of the return and of the score, and
+        the last-100 return is the mean of the last hundred.
+        """
         some = self.episodes > 0
         return {
             "episodes": self.episodes,

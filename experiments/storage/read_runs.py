@@ -1,4 +1,4 @@
-"""Reading what runs have left, finished or not, whatever state their files are in."""
+"""Reading of run directories, finished or not, also with incomplete or damaged files."""
 
 import csv
 import io
@@ -16,39 +16,42 @@ from ..system.errors import ConfigError
 
 
 class SeedData(NamedTuple):
-    """One agent's training."""
+    """The training data of one agent."""
 
     seed: int
     episodes: dict[str, np.ndarray]  # columns of episodes.csv, float64[E]
-    metrics: dict[str, np.ndarray]  # of metrics.jsonl, float64[I]; NaN where there was none
+    metrics: dict[str, np.ndarray]  # of metrics.jsonl, float64[I]; NaN where a value is missing
 
 
 class RunData(NamedTuple):
-    """One run directory."""
+    """The content of one run directory."""
 
     path: Path
     config: Config
     seeds: list[SeedData]
-    notes: list[str]  # what of it could not be used
+    notes: list[str]  # parts of the files that could not be used
 
     @property
     def steps(self) -> int:
-        """Steps per seed so far."""
+        """The number of steps per seed so far."""
         counts = [int(seed.metrics["step"][-1]) for seed in self.seeds if "step" in seed.metrics]
         return max(counts, default=0)
 
 
 def complete_lines(path: Path) -> tuple[list[str], bool]:
-    """The lines of a log that end, and whether one does not: it is being written, or was cut."""
+    """Return the complete lines of a log, and whether an incomplete line follows.
+
+    A line is incomplete while it is being written, or if it was cut.
+    """
     whole, _, rest = path.read_text().rpartition("\n")
     return whole.splitlines(), bool(rest)
 
 
 def read_run(path: Path) -> RunData:
-    """What a run directory holds.
+    """Read the content of a run directory.
 
     Raises:
-      ValueError: in a few words, why it cannot be read.
+      ValueError: the directory cannot be read; the message says why in a few words.
     """
     config = validate_config(read_saved(path / CONFIG).config)
     notes: list[str] = []
@@ -75,15 +78,15 @@ def read_run(path: Path) -> RunData:
 
 
 def as_float(value: Any) -> float:
-    """A figure as a float; NaN for what is none."""
+    """Return a value as a float; NaN if the value is not a number."""
     return float(value) if isinstance(value, (int, float)) else float("nan")
 
 
 def parse_metrics(lines: list[str]) -> list[dict[str, Any]]:
-    """The objects of metrics.jsonl.
+    """Parse the lines of metrics.jsonl into objects.
 
     Raises:
-      ValueError: a line is none, or has no step.
+      ValueError: a line is not an object, or has no step.
     """
     entries = []
     for i, line in enumerate(lines):
@@ -98,10 +101,10 @@ def parse_metrics(lines: list[str]) -> list[dict[str, Any]]:
 
 
 def parse_episodes(rows: list[str]) -> dict[str, np.ndarray]:
-    """The columns of episodes.csv.
+    """Parse the lines of episodes.csv into columns.
 
     Raises:
-      ValueError: it has no head, or a line does not fit it.
+      ValueError: there is no header, a line does not fit the header, or a column is missing.
     """
     if not rows:
         raise ValueError("episodes.csv is empty")
@@ -116,7 +119,11 @@ def parse_episodes(rows: list[str]) -> dict[str, np.ndarray]:
 
 
 def find_runs(places: Sequence[Path]) -> tuple[list[RunData], list[tuple[Path, str]]]:
-    """Every run in these directories and below them, and what was left out, with the reason."""
+    """Find every run in these directories and below them.
+
+    Returns:
+      The runs, and each path that was left out, completely or in part, with the reason.
+    """
     found: dict[Path, RunData] = {}
     left_out: list[tuple[Path, str]] = []
     for place in places:
@@ -147,19 +154,22 @@ class RunGroup(NamedTuple):
 
     env: str
     algo: str  # as configured
-    name: str  # with what tells it from other groups of this algorithm
+    name: str  # with the settings that differ from other groups of this algorithm
     seeds: list[SeedData]
     config: Config
 
     @property
     def steps(self) -> tuple[int, int]:
-        """The fewest and the most steps that a seed has taken."""
+        """The smallest and the largest number of steps of a seed."""
         counts = [int(seed.metrics["step"][-1]) for seed in self.seeds]
         return min(counts), max(counts)
 
 
 def group_runs(runs: list[RunData]) -> list[RunGroup]:
-    """Seeds of the same settings together; where an algorithm has several, they are named."""
+    """Group the seeds of runs with the same settings.
+
+    Where an algorithm has several groups, their names contain the settings that differ.
+    """
     kinds: dict[tuple[str, str], dict[str, list[RunData]]] = {}
     for run in runs:
         own = grouping_settings(run.config)
@@ -182,24 +192,24 @@ def group_runs(runs: list[RunData]) -> list[RunGroup]:
 
 
 def longest_run_per_seed(seeds: list[SeedData]) -> list[SeedData]:
-    """Each seed once, as far as it was trained the farthest."""
+    """Keep the longest run of each seed."""
     best: dict[int, SeedData] = {}
     for seed in seeds:
         known = best.get(seed.seed)
         if known is None or seed.metrics["step"][-1] > known.metrics["step"][-1]:
             best[seed.seed] = seed
-    return [best[as_float] for as_float in sorted(best)]
+    return [best[number] for number in sorted(best)]
 
 
 def grouping_settings(config: Config) -> dict[str, Any]:
-    """What must be the same of two runs for their seeds to be seeds of one experiment."""
+    """Return the settings that must match for two runs to be aggregated over seeds."""
     own = run_settings(config)
     free = ("seed", "num_seeds", "checkpoint_every", "on_nan")
     return {name: value for name, value in own.items() if name not in free}
 
 
 def read_summary(run: Path) -> list[dict[str, Any]]:
-    """Return the figures of every seed in a run's summary.json; [] where it has none yet."""
+    """Return the entry of every seed in a run's summary.json, or [] without a valid file."""
     try:
         seeds = json.loads((run / "summary.json").read_text())["seeds"]
     except (OSError, ValueError, KeyError, TypeError):

@@ -1,4 +1,4 @@
-"""The run directory: claimed under a lock before anything is written to it."""
+"""The run directory, locked before anything is written to it."""
 
 import fcntl
 import os
@@ -15,24 +15,24 @@ from ..system.files import safe_file_name, temporary_name, write_atomically
 
 LOCK = ".lock"
 TRACKER_STATE = (
-    "tracker.json"  # what a tracker was told; it is opened before there is a config.yaml
+    "tracker.json"  # what was sent to the tracker; this file is written before config.yaml exists
 )
 
 
 class RunDirectory:
-    """A run directory that no other process writes to while this one holds it.
+    """A run directory that no other process writes to while this process holds its lock.
 
-    The lock is the kernel's (flock): it goes with the process, however that ends.
+    The lock is the kernel's (flock): it is released whenever and however the process ends.
     """
 
     def __init__(self, config: Config):
-        """Find the place and lock it.
+        """Find or create the directory and lock it.
 
         Raises:
-          ConfigError: it is in use, holds something else, or cannot be written to.
+          ConfigError: the directory is in use, is not empty, or cannot be written to.
         """
         self.path = Path(config.run_dir) if config.run_dir else new_run_path(config)
-        self.shared = self.path  # where all hosts read
+        self.shared = self.path  # the directory that all hosts read
         self.resumed = config.resume is not None
         self.created = missing_parents(self.path)
         try:
@@ -55,16 +55,16 @@ class RunDirectory:
             raise ConfigError(self.not_empty_message())
 
     def is_nonempty(self) -> bool:
-        """Whether there is more than a run leaves that was killed before it began."""
+        """Return True if the directory holds more than the files of an aborted start."""
         early = (LOCK, temporary_name(CONFIG), TRACKER_STATE, temporary_name(TRACKER_STATE))
         return any(entry.name not in early for entry in self.path.iterdir())
 
     def not_empty_message(self) -> str:
-        """Why a directory with something in it is refused."""
+        """Return the error message for a directory that is not empty."""
         return f"run directory {self.path} is not empty (to go on: resume={self.path})"
 
     def remove_created_dirs(self) -> None:
-        """Remove the directories that were made for this run, as far as they are empty."""
+        """Remove the directories that were created for this run, up to the first non-empty one."""
         for path in self.created:
             try:
                 path.rmdir()
@@ -72,20 +72,21 @@ class RunDirectory:
                 return
 
     def discard(self) -> None:
-        """Leave no trace of a run that was refused; its directory was empty when it was claimed."""
+        """Remove all files of a refused run; its directory was empty when it was locked."""
         if not self.resumed and not (self.path / CONFIG).exists():
             for entry in self.path.iterdir():
                 shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
             self.remove_created_dirs()
 
     def close(self) -> None:
-        """Let another run have the directory."""
+        """Release the lock, so that another run can use the directory."""
         os.close(self.lock)
 
     def begin(self, config: Config, versions: dict[str, str]) -> list[str]:
         """Write `config.yaml`, from which the run can be resumed and repeated.
 
-        Returns a line about each version that is not the one the run was made with.
+        Returns:
+          One line about each version that differs from the version that the run was made with.
         """
         path, made_with, past = self.path / CONFIG, versions, None
         if path.exists():
@@ -106,31 +107,31 @@ class RunDirectory:
 
 
 class FollowerDirectory:
-    """What a host has that does not lead: it reads the run, and what it writes is thrown away."""
+    """The directory of a host that does not lead: it reads the run; its writes are temporary."""
 
     def __init__(self, config: Config):
-        """Find the run; `run_dir` was said."""
+        """Find the run in `run_dir`, which must be given, and create a temporary directory."""
         self.shared, self.path = Path(str(config.run_dir)), Path(tempfile.mkdtemp())
         self.resumed = config.resume is not None
 
     def begin(self, config: Config, versions: dict[str, str]) -> list[str]:
-        """The first host writes the configuration."""
+        """Return no lines; the first host writes the configuration."""
         return []
 
     def discard(self) -> None:
-        """The run was refused."""
+        """Do nothing when the run is refused."""
 
     def close(self) -> None:
-        """Throw away what was written."""
+        """Remove the temporary directory."""
         shutil.rmtree(self.path, ignore_errors=True)
 
 
 def new_run_path(config: Config) -> Path:
-    """runs/<env>/<algo>/<time>-<id>"""
+    """Return a new path runs/<env>/<algo>/<time>-<id>."""
     stamp = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
     return Path("runs") / safe_file_name(config.env.name) / safe_file_name(config.algo.name) / stamp
 
 
 def missing_parents(path: Path) -> list[Path]:
-    """The directories on the way to `path` that are not there yet, the innermost first."""
+    """Return `path` and its parents that do not exist yet, the innermost first."""
     return [place for place in (path, *path.parents) if not place.exists()]

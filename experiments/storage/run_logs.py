@@ -1,4 +1,4 @@
-"""What a run leaves: metrics.jsonl, episodes.csv, summary.json and TensorBoard events."""
+"""The logs of a run: metrics.jsonl, episodes.csv, summary.json and TensorBoard events."""
 
 import json
 import math
@@ -17,7 +17,16 @@ LOGS = ("metrics.jsonl", "episodes.csv")
 
 
 def check_logs(path: Path, seeds: list[int], marks: dict[str, LogMark]) -> None:
-    """Raise ValueError unless the logs begin with what they held when they were marked."""
+    """Check that the logs begin with the content that they had when they were marked.
+
+    Args:
+      path: the run directory.
+      seeds: the seed of each agent.
+      marks: the marks of the logs, by file name.
+
+    Raises:
+      ValueError: a log is missing or has changed, or holds a line of another run.
+    """
     for name in LOGS:
         read_until_mark(path / name, marks[name])
     known = {"step": int, "transitions": int, "wall_seconds": float}
@@ -31,10 +40,10 @@ def check_logs(path: Path, seeds: list[int], marks: dict[str, LogMark]) -> None:
 
 
 def read_metrics(path: Path, end: int) -> Iterator[dict[str, Any]]:
-    """The lines of metrics.jsonl before a byte, one after another.
+    """Yield the lines of metrics.jsonl in a run directory, before the byte `end`.
 
     Raises:
-      ValueError: one is none.
+      ValueError: a line is not a JSON object.
     """
     with (path / LOGS[0]).open("rb") as file:
         while file.tell() < end:
@@ -45,10 +54,10 @@ def read_metrics(path: Path, end: int) -> Iterator[dict[str, Any]]:
 
 
 def read_episodes(path: Path, end: int) -> Iterator[Episode]:
-    """The episodes of episodes.csv before a byte, without their rooms.
+    """Yield the episodes of episodes.csv before the byte `end`, without their rooms.
 
     Raises:
-      ValueError: a line is none.
+      ValueError: a line is not an episode.
     """
     with (path / LOGS[1]).open("rb") as file:
         file.readline()
@@ -59,17 +68,20 @@ def read_episodes(path: Path, end: int) -> Iterator[Episode]:
 
 
 class RunLogs:
-    """The log files of a run; opened again, they go on where its checkpoint stands."""
+    """The log files of a run; a resumed run continues them from its checkpoint."""
 
     def __init__(self, path: Path, seeds: list[int], rooms: bool, marks: dict[str, LogMark]):
         """Open the files.
 
         Args:
           path: the run directory.
-          seeds: one per agent.
+          seeds: the seed of each agent.
           rooms: whether episodes count rooms.
-          marks: where the logs stood at the checkpoint that the run goes on from, if any; what
-            they hold beyond is cut off, because it will be collected again.
+          marks: the marks of the logs at the checkpoint that the run resumes from, if any; later
+            content is cut off, because it will be collected again.
+
+        Raises:
+          ValueError: a log is missing, or its content before the mark has changed.
         """
         self.path, self.seeds = path, seeds
         self.summaries = [EpisodeSummary() for _ in seeds]
@@ -85,11 +97,11 @@ class RunLogs:
         self.flush()
 
     def read_back(self) -> Iterator[dict[str, Any]]:
-        """The lines of metrics.jsonl so far."""
+        """Return an iterator over the lines of metrics.jsonl so far."""
         return read_metrics(self.path, self.metrics.size)
 
     def restore_counts(self) -> None:
-        """Count what the logs already hold."""
+        """Restore the counts, the summaries and the TensorBoard events from the existing logs."""
         for line in self.read_back():
             self.wall_seconds = line["wall_seconds"]
             self.transitions[self.seeds.index(line["seed"])] = line["transitions"]
@@ -100,13 +112,19 @@ class RunLogs:
             self.summaries[self.seeds.index(episode.seed)].add(episode)
 
     def write_row(self, cells: Any) -> None:
-        """A line of episodes.csv; no cell needs quotes."""
+        """Write a line of episodes.csv; no cell needs quotes."""
         self.episodes.write(",".join(str(cell) for cell in cells) + "\n")
 
     def log_iteration(self, i: int, ended: list[Episode], entry: dict[str, Any]) -> dict[str, Any]:
-        """Log one iteration of seed number i: its episodes and its line of metrics.
+        """Log one iteration of one seed: its episodes and its line of metrics.
 
-        Returns the line: the entry with the episodes' means and counts.
+        Args:
+          i: the index of the seed.
+          ended: the episodes that ended in this iteration.
+          entry: the metrics of this iteration; keys are removed from it.
+
+        Returns:
+          The line: the entry with the means and the count of the episodes.
         """
         for episode in ended:
             self.summaries[i].add(episode)
@@ -126,12 +144,12 @@ class RunLogs:
         return line
 
     def flush(self) -> None:
-        """Hand everything written so far to the system."""
+        """Flush all log files to the system."""
         for log in (self.metrics, self.episodes, self.tensorboard):
             log.flush()
 
     def manifest(self) -> dict[str, Any]:
-        """What a checkpoint of this moment says of the logs, which are now safe on the disk."""
+        """Fsync the logs and return the entries that describe them in a checkpoint's manifest."""
         last = [summary.last100 for summary in self.summaries if summary.last100 is not None]
         marks = dict(zip(LOGS, (self.metrics.mark(), self.episodes.mark()), strict=True))
         return {"logs": marks, "last100": finite_or_none(sum(last) / len(last)) if last else None}
@@ -153,12 +171,12 @@ class RunLogs:
 
 
 def finite_or_none(value: Any) -> Any:
-    """JSON has no NaN and no infinity: they become null."""
+    """Return None for NaN and infinity, which JSON does not have; otherwise the value."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def mean_over_seeds(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """The mean over seeds of every figure that is there for any."""
+    """Average each metric over the seeds that report it."""
     mean = {}
     for key in lines[0]:
         values = [line[key] for line in lines if line[key] is not None]

@@ -1,4 +1,4 @@
-"""TensorBoard events: a view of metrics.jsonl, one file a seed, made anew when a run goes on."""
+"""TensorBoard events: a copy of metrics.jsonl, one file per seed, rewritten on resume."""
 
 import shutil
 import time
@@ -14,22 +14,22 @@ from tensorboardX.proto.summary_pb2 import Summary
 
 
 class TensorBoardWriter:
-    """One event file per seed. Written in this thread, so that a full disk is noticed."""
+    """One event file per seed, written in this thread, so that a full disk is noticed."""
 
     def __init__(self, path: Path, seeds: list[int]):
-        """Remove what an earlier process wrote; `add` brings its lines back."""
+        """Remove the files of an earlier process and open new ones; `add` restores the lines."""
         shutil.rmtree(path, ignore_errors=True)
         self.writers = {}
         for seed in seeds:
             place = path / f"seed_{seed}"
             place.mkdir(parents=True)
             self.writers[seed] = EventsWriter(str(place / "events"))
-            # A TensorBoard that is looking on forgets what it has read of the removed file.
+            # A running TensorBoard then forgets what it has read from the removed file.
             start = SessionLog(status=SessionLog.START)
             self.writers[seed].write_event(Event(step=0, wall_time=time.time(), session_log=start))
 
     def add(self, line: dict[str, Any], when: float) -> None:
-        """A line of metrics.jsonl: every fractional figure is a scalar at `step`."""
+        """Add a line of metrics.jsonl: floats are scalars at `step`, with the time `when`."""
         values = [
             Summary.Value(tag=key, simple_value=value)
             for key, value in line.items()
@@ -41,7 +41,14 @@ class TensorBoardWriter:
     def add_snapshot(
         self, seed: int, step: int, image: np.ndarray | None, figures: dict[str, float]
     ) -> None:
-        """What is looked at now and then: an image, and figures that no log holds."""
+        """Add an image, and metrics that no log holds.
+
+        Args:
+          seed: the seed of the agent.
+          step: the step at which they are shown.
+          image: the most novel frame, uint8 [H, W, C], or None.
+          figures: the metrics by name.
+        """
         values = [Summary.Value(tag=key, simple_value=value) for key, value in figures.items()]
         if image is not None:
             height, width, colours = image.shape
@@ -55,12 +62,12 @@ class TensorBoardWriter:
             self.writers[seed].write_event(event)
 
     def flush(self) -> None:
-        """Hand what was written to the system."""
+        """Flush all event files to the system."""
         for writer in self.writers.values():
             writer.flush()
 
     def close(self) -> None:
         """Close the files."""
         for writer in self.writers.values():
-            with suppress(OSError):  # of a full disk; `flush` has said it
+            with suppress(OSError):  # the disk is full; `flush` has already raised this error
                 writer.close()

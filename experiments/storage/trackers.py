@@ -1,7 +1,7 @@
-"""Weights & Biases and MLflow: views of metrics.jsonl, on this machine unless told otherwise.
+"""Weights & Biases and MLflow: copies of metrics.jsonl, on this machine by default.
 
-A tracker is told of an iteration once its checkpoint is on the disk, and told once: what is cut
-off the logs when a run goes on was never there.
+An iteration is sent to a tracker once, after its checkpoint is on the disk. Lines that are cut off
+the logs when a run is resumed were therefore never sent.
 """
 
 import hashlib
@@ -24,13 +24,18 @@ Lines = list[dict[str, Any]]
 
 
 class Tracker:
-    """One run of the tracker for every seed, opened again by its id when a run goes on."""
+    """One run of the tracker per seed, opened again by its id when a run is resumed."""
 
     def __init__(self, config: Config, path: Path, leads: bool = True):
-        """Open it, on the host that leads.
+        """Open the tracker on the leading host.
+
+        Args:
+          config: the configuration of the run.
+          path: the run directory.
+          leads: whether this host leads; other hosts send nothing.
 
         Raises:
-          ConfigError: its package is not there, or it refuses.
+          ConfigError: the package is not installed, or the tracker cannot be opened.
         """
         self.config, self.path = config, path
         try:
@@ -53,23 +58,27 @@ class Tracker:
         except ImportError:
             hint = f"pip install '.[{config.tracker}]'"
             raise ConfigError(f"tracker={config.tracker} is not installed: {hint}") from None
-        except Exception as error:  # whatever a service may raise
+        except Exception as error:  # a service may raise any exception
             raise ConfigError(f"tracker={config.tracker}: {error}") from None
         if self.service is not None:
             self.save_state()
 
     def save_state(self) -> None:
-        """Remember what was told, and to which runs."""
+        """Write to the disk which lines were sent, and the ids of the tracker's runs."""
         entry = {"tracker": self.config.tracker, "told": self.sent, "ids": self.ids}
         write_atomically(self.path / TRACKER_STATE, json.dumps(entry) + "\n")
 
     def queue_lines(self, lines: Iterable[dict[str, Any]]) -> None:
-        """Keep lines of metrics.jsonl until they are told."""
+        """Keep lines of metrics.jsonl until they are sent."""
         if self.service is not None and not self.broken:
             self.lines += [line for line in lines if line["iteration"] > self.sent[line["seed"]]]
 
     def send(self, iteration: int | None) -> str:
-        """Tell the lines up to an iteration whose checkpoint is safe; why it gave up, if it did."""
+        """Send the lines up to an iteration whose checkpoint is on the disk.
+
+        Returns:
+          The reason why the tracker gets no more lines, or "".
+        """
         ready = [line for line in self.lines if line["iteration"] <= (iteration or 0)]
         for seed in self.config.seeds:
             own = [line for line in ready if line["seed"] == seed]
@@ -77,7 +86,7 @@ class Tracker:
                 continue
             try:
                 self.service.log(seed, own)
-            except Exception as error:  # no run ends over its tracker
+            except Exception as error:  # an error of the tracker must not end the run
                 self.broken, self.lines = True, []
                 return f"tracker={self.config.tracker} is no longer sent metrics: {error}"
             self.sent[seed] = own[-1]["iteration"]
@@ -86,14 +95,14 @@ class Tracker:
         return ""
 
     def close(self, finished: bool) -> None:
-        """End the tracker's runs; that it cannot is no reason to fail."""
+        """End the tracker's runs; errors on close are ignored."""
         if self.service is not None and not self.broken:
             with suppress(Exception):
                 self.service.close(finished)
 
 
 def numeric_metrics(line: dict[str, Any]) -> dict[str, float]:
-    """What of a line is drawn over steps.
+    """Return the numeric metrics of a log line.
 
     >>> numeric_metrics({"seed": 0, "step": 8, "iteration": 1, "score": None, "entropy": 0.5})
     {'entropy': 0.5}
@@ -102,20 +111,24 @@ def numeric_metrics(line: dict[str, Any]) -> dict[str, float]:
 
 
 def run_title(config: Config, seed: int) -> str:
-    """What a seed's run is called."""
+    """Return the name of a seed's run."""
     return f"{config.env.name}/{config.algo.name}/{seed}"
 
 
 def experiment_name(config: Config) -> str:
-    """What runs are filed under."""
+    """Return the name of the experiment or group that the runs belong to."""
     return Path(config.group).name if config.group else "sndjax"
 
 
 class MLflow:
-    """MLflow; in ./mlruns, or where MLFLOW_TRACKING_URI says."""
+    """The MLflow service, which stores runs in ./mlruns or at MLFLOW_TRACKING_URI."""
 
     def __init__(self, config: Config, ids: dict[str, str]):
-        """Open a run for every seed; `ids` keeps them."""
+        """Open a run for every seed, and store new run ids in `ids`.
+
+        Raises:
+          ValueError: the experiment does not exist and could not be created.
+        """
         os.environ.setdefault("MLFLOW_ALLOW_FILE_STORE", "true")
         from mlflow import MlflowClient
         from mlflow.entities import Metric, Param
@@ -124,7 +137,7 @@ class MLflow:
         self.metric, self.ids = Metric, ids
         place = os.environ.get("MLFLOW_TRACKING_URI", Path("mlruns").resolve().as_uri())
         self.client = client = MlflowClient(tracking_uri=place)
-        with suppress(MlflowException):  # it is there, or another cell has just made it
+        with suppress(MlflowException):  # it exists, or another job has just created it
             client.create_experiment(experiment_name(config))
         found = client.get_experiment_by_name(experiment_name(config))
         if found is None:
@@ -140,7 +153,7 @@ class MLflow:
             self.client.log_batch(run.info.run_id, params=own)
 
     def log(self, seed: int, lines: Lines) -> None:
-        """Log the lines of a seed, a thousand figures at a time, which is MLflow's limit."""
+        """Log the lines of a seed, in batches of 1000 metrics, which is MLflow's limit."""
         now = time.time_ns() // 10**6
         metrics = [
             self.metric(key, float(value), now, line["step"])
@@ -157,10 +170,16 @@ class MLflow:
 
 
 class WandB:
-    """Weights & Biases; in ./wandb, or with WANDB_MODE=online where one is logged in."""
+    """The Weights & Biases service, in ./wandb, or online with WANDB_MODE=online and a login."""
 
     def __init__(self, config: Config, path: Path, ids: dict[str, str]):
-        """Open a run for every seed; `ids` keeps them."""
+        """Open a run for every seed, and store new run ids in `ids`.
+
+        Args:
+          config: the configuration of the run.
+          path: the run directory, from which new ids are made.
+          ids: the id of each seed's run, by seed; new ids are added.
+        """
         import wandb
 
         digest = hashlib.sha1(str(path.resolve()).encode()).hexdigest()[:12]

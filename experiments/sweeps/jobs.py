@@ -122,7 +122,7 @@ def validate_overrides(overrides: tuple[str, ...]) -> tuple[int, str | None]:
     return config.iterations * config.rows, None
 
 
-def job_name(overrides: Sequence[str], swept_keys: Sequence[str]) -> str:
+def job_name(overrides: Sequence[str], swept: Sequence[str]) -> str:
     """The name of a job, which is its directory within the sweep's.
 
     >>> job_name(["env=Venture", "algo=rnd", "seed=9", "algo.eta=0.5"], ["seed", "algo.eta"])
@@ -131,7 +131,7 @@ def job_name(overrides: Sequence[str], swept_keys: Sequence[str]) -> str:
     values = {key: str(override.value()) for key, override in parse_sweep(overrides).items()}
     env = values.get("env.id", values.get("env", "unnamed"))
     algo = values.get("algo.module", values.get("algo", "unnamed")).rpartition(":")[2]
-    others = [f"{key}={quote(values[key], safe='')}" for key in swept_keys if key not in NAME_KEYS]
+    others = [f"{key}={quote(values[key], safe='')}" for key in swept if key not in NAME_KEYS]
     return "/".join(
         (
             safe_file_name(env),
@@ -145,8 +145,8 @@ def find_conflict(directory: Path, job: Job, before: Job | None) -> str | None:
     """Why what is in a job's directory is not of this job, if it is not."""
     place = directory / job.name
     free = lambda own: sorted(o for o in own if o.partition("=")[0].lstrip("+") not in CHANGEABLE)
-    read_jobs = before is not None and free(before.overrides) == free(job.overrides)
-    if read_jobs or not (place / CONFIG).is_file():
+    same = before is not None and free(before.overrides) == free(job.overrides)
+    if same or not (place / CONFIG).is_file():
         return None
     try:
         load_config([*job.overrides, f"run_dir={quote_path(place)}", "resume=auto"])

@@ -1,4 +1,4 @@
-"""What a person sees while it runs: a live display on a terminal, else plain lines."""
+"""Progress output: a live display on a terminal, plain lines otherwise."""
 
 import sys
 import time
@@ -13,30 +13,31 @@ from rich.table import Table
 from rich.text import Text
 
 T = TypeVar("T")
-QUIET_SECONDS = 10  # between two lines of one task, where there is no terminal
+QUIET_SECONDS = 10  # seconds between two lines of one task, without a terminal
 
 
 def format_duration(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Format a duration as minutes:seconds or hours:minutes:seconds."""
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
 
 
 def format_number(value: float | None, form: str = ".3g") -> str:
-    """A figure, or a dash where there is none yet."""
+    """Format a number; None becomes a dash."""
     return "-" if value is None else format(value, form)
 
 
 class Progress:
-    """Shows the phase of the iteration with the time gone in it, and the latest figures."""
+    """A display of the current phase with its elapsed time, and of the latest metrics."""
 
     def __init__(self, title: str, total: int, done: int):
-        """Begin.
+        """Start the display.
 
         Args:
-          title: what is running and where it goes.
-          total, done: rows per seed, in all and so far.
+          title: what is running and where its output goes.
+          total: rows per seed in the whole run.
+          done: rows per seed so far.
         """
         self.total, self.done, self.start_done = total, done, done
         self.start = self.since = time.monotonic()
@@ -56,7 +57,7 @@ class Progress:
             self.say(title)
 
     def say(self, text: str) -> None:
-        """One line, at once. Nobody to read it is no reason to stop."""
+        """Print one line at once; errors of the output are ignored."""
         with suppress(OSError):
             if self.live is not None:
                 self.live.console.print(text)
@@ -64,16 +65,16 @@ class Progress:
                 print(text, flush=True)
 
     def phase(self, name: str, estimate: float | None = None) -> None:
-        """A part of the iteration begins; it is expected to take `estimate` seconds."""
+        """Start a phase of the iteration; `estimate` is its expected duration in seconds."""
         self.name, self.estimate, self.share = name, estimate, None
         self.since = time.monotonic()
 
     def within(self, share: float) -> None:
-        """How much of the phase is done, where that is known."""
+        """Set the completed share of the phase, where it is known."""
         self.share = share
 
     def iteration(self, line: dict[str, Any]) -> None:
-        """An iteration is over; `line` holds its figures, means over seeds."""
+        """Show the metrics of a finished iteration; `line` holds their means over seeds."""
         self.done = line["step"]
         self.figures = {
             "steps/s": format_number(line["steps_per_second"], ",.0f"),
@@ -88,12 +89,12 @@ class Progress:
             self.say(f"step {self.done:,} of {self.total:,}  {figures}")
 
     def left(self) -> float:
-        """Seconds to the end, at the rate so far."""
+        """Return the remaining seconds, at the mean rate so far."""
         gone = time.monotonic() - self.start
         return gone * (self.total - self.done) / max(self.done - self.start_done, 1)
 
     def render(self) -> Table:
-        """The display of this moment."""
+        """Return the current display."""
         gone = time.monotonic() - self.since
         now = f"{self.name} {format_duration(gone)}"
         if self.share is not None:
@@ -110,7 +111,7 @@ class Progress:
         return table
 
     def close(self) -> None:
-        """Leave the last figures on the screen."""
+        """Stop the display; the last metrics stay on the screen."""
         with suppress(OSError):
             if self.live is not None:
                 self.live.stop()
@@ -118,10 +119,10 @@ class Progress:
 
 
 class ProgressBars:
-    """How far named tasks are: bars on a terminal, elsewhere a line now and then."""
+    """Progress of named tasks: bars on a terminal, otherwise lines `QUIET_SECONDS` apart."""
 
     def __init__(self) -> None:
-        """Nothing is under way."""
+        """Create the display without any task."""
         note = progress.TextColumn("{task.fields[note]}")
         self.bars = progress.Progress(*progress.Progress.get_default_columns(), note)
         self.live = self.bars.console.is_terminal
@@ -138,7 +139,14 @@ class ProgressBars:
             self.bars.stop()
 
     def update(self, name: str, done: int, total: int, note: str = "") -> None:
-        """So much of a task is done; the first call begins it."""
+        """Show the progress of a task; the first call adds the task.
+
+        Args:
+          name: the name of the task.
+          done: finished items.
+          total: all items.
+          note: a text shown after the numbers.
+        """
         if self.live:
             if name not in self.tasks:
                 self.tasks[name] = self.bars.add_task(name, total=total, note=note)
@@ -151,7 +159,7 @@ class ProgressBars:
                 print(" ".join(f"{name}: {done:,} of {total:,} {note}".split()), flush=True)
 
     def track(self, name: str, items: Sequence[T]) -> Iterator[T]:
-        """The items, one after another."""
+        """Yield the items one after another, and show the progress of the task `name`."""
         for i, item in enumerate(items):
             self.update(name, i, len(items))
             yield item

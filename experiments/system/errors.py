@@ -1,10 +1,10 @@
-"""Errors that a command answers in one line."""
+"""Errors that a command prints as one line."""
 
 import sys
 
 
 class ConfigError(ValueError):
-    """Bad input; its text is one line that says what to do."""
+    """An error in the input; its text is one line that says what to do."""
 
 
 def print_error(error: object, status: int = 2) -> int:

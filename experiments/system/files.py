@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and names that are safe to give them."""
+"""Atomic file writes, and safe file names."""
 
 import os
 import re
@@ -6,10 +6,10 @@ from pathlib import Path
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write a text file through to the disk; readers see the old file or the new one.
+    """Write a text file atomically, with fsync; readers see the old file or the new one.
 
     Raises:
-      OSError: the file cannot be written; nothing of the new one is left.
+      OSError: the file cannot be written; no part of the new file is left.
     """
     new = path.with_name(temporary_name(path.name))
     try:
@@ -29,7 +29,7 @@ def temporary_name(name: str) -> str:
 
 
 def fsync_path(path: Path) -> None:
-    """Write a file or a directory through to the disk, where it outlives a power cut."""
+    """Write a file or a directory to the disk with fsync, so that it survives a power failure."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -38,7 +38,7 @@ def fsync_path(path: Path) -> None:
 
 
 def safe_file_name(text: str) -> str:
-    """Return the text with every character that could upset a path replaced by a dash.
+    """Return the text with a dash in place of each character that is unsafe in a file name.
 
     >>> safe_file_name("minigrid:MiniGrid-N6/v0"), safe_file_name("..")
     ('minigrid-MiniGrid-N6-v0', 'unnamed')

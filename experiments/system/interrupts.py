@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM, answered where a run can stop without leaving anything half-done."""
+"""Handling of SIGINT and SIGTERM at points where a run can stop with all its work complete."""
 
 import os
 import signal
@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-AGAIN = 0.2  # seconds until an exception that was swallowed is raised again
+AGAIN = 0.2  # seconds until an exception that Python discarded is raised again
 
 
 class Interrupted(Exception):
-    """A signal asked the run to stop.
+    """The exception raised for a signal that asks the run to stop.
 
     Attributes:
-      status: the exit status that shells and schedulers know, 128 + the signal's number.
+      status: the exit status, 128 + the signal's number, as shells and schedulers expect.
     """
 
     def __init__(self, number: int):
@@ -25,17 +25,18 @@ class Interrupted(Exception):
 
 
 class Interrupts:
-    """While it is entered, a signal is kept until `check`, or breaks off what is waited for.
+    """A context manager that stores a signal until `check`, or interrupts the current wait.
 
-    An exception out of a signal handler can land anywhere, also where it is swallowed (in a
-    destructor or a callback); here it can land in `waiting` alone, and is raised until it is
-    met. Before `begin` there is nothing to keep, and a signal ends the process.
+    An exception raised by a signal handler can appear at any line, also where Python discards
+    it (in a destructor or a callback). Here it can appear only inside `waiting`, and it is raised
+    repeatedly until it reaches the caller. Before `begin` there is no work to save, and a signal
+    ends the process.
     """
 
     def __init__(self) -> None:
         self.begun = False
         self.received: int | None = None
-        self.grace: float | None = None  # None: nothing is being waited for
+        self.grace: float | None = None  # seconds; None: not inside `waiting`
         self.previous: dict[int, Any] = {}
 
     def __enter__(self) -> "Interrupts":
@@ -51,16 +52,19 @@ class Interrupts:
         sys.unraisablehook = self.unraisable
 
     def swallowed(self, about: Any) -> None:
-        """An exception in a destructor or a callback goes nowhere; ours comes again."""
+        """Ignore an Interrupted in a destructor or a callback, because it is raised again.
+
+        Other exceptions go to the previous hook.
+        """
         if about.exc_type is not Interrupted:
             self.unraisable(about)
 
     def begin(self) -> None:
-        """From here on there is something to lose, and `check` is called often."""
+        """Mark that there is work to save, and that `check` is called often from here on."""
         self.begun = True
 
     def receive(self, number: int, frame: object) -> None:
-        """The handler of both."""
+        """Handle SIGINT and SIGTERM; a second signal interrupts a wait at once."""
         if not self.begun:
             show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
             print(f"{show_cursor}sndjax: interrupted before the first step", file=sys.stderr)
@@ -70,33 +74,36 @@ class Interrupts:
             self.alarm(0 if again else self.grace)
 
     def alarm(self, delay: float) -> None:
-        """Give the wait so many seconds."""
+        """Start the timer that ends the wait after `delay` seconds."""
         signal.setitimer(signal.ITIMER_REAL, max(delay, 1e-6), AGAIN)
 
     def give_up(self, number: int, frame: object) -> None:
-        """The handler of the alarm: the wait has had its time."""
+        """Handle SIGALRM: the time limit of the wait is reached."""
         if self.grace is not None:
             self.check()
 
     def check(self) -> None:
-        """A point where the run can stop.
+        """Raise Interrupted if a signal was received; call this where the run can stop.
 
         Raises:
-          Interrupted: a signal has come.
+          Interrupted: a signal was received.
         """
         if self.received is not None:
             raise Interrupted(self.received)
 
     @contextmanager
     def waiting(self, grace: float = 0.0) -> Iterator[None]:
-        """Inside, a signal breaks off the wait unless it is over within `grace` seconds.
+        """Let a signal interrupt the enclosed wait, `grace` seconds after the signal arrives.
 
-        A second signal breaks it off at once.
+        A second signal interrupts the wait at once.
+
+        Raises:
+          Interrupted: a signal was received.
         """
         self.check()
         self.grace = grace
         try:
-            if self.received is not None:  # it came since the check
+            if self.received is not None:  # the signal arrived after the check
                 self.alarm(grace)
             yield
         finally:

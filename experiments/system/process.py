@@ -1,4 +1,4 @@
-"""What the process is told before jax starts in it and after, and how a script ends."""
+"""Settings of the process before and after jax starts, and the exit of a script."""
 
 import ctypes
 import os
@@ -8,15 +8,18 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-# Orders an update's operations for memory on a CPU: a third less of it
-# (1.84 GB of temporaries become 1.21 GB for snd_std on Atari). XLA aborts on a flag that
-# it does not know, so it is set only for the versions that it was tried with.
+# Schedules an update's operations for low memory on a CPU: a third less
+# (1.84 GB of temporaries become 1.21 GB for snd_std on Atari). XLA aborts on an unknown
+# flag, so the flag is set only for the versions that it was tested with.
 MEMORY_SCHEDULE = "--xla_cpu_enable_concurrency_optimized_scheduler=false"
 TRIED_VERSIONS = ("0.10.",)
 
 
 def configure_xla() -> None:
-    """Set XLA's flags, which are read once, when jax first computes, and silence its warnings."""
+    """Set XLA's flags and silence known warnings.
+
+    XLA reads the flags once, when jax first computes.
+    """
     warnings.filterwarnings("ignore", message=".*Box (low|high)'s precision.*")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "1")
     flags = os.environ.get("XLA_FLAGS", "")
@@ -25,14 +28,14 @@ def configure_xla() -> None:
 
 
 def return_freed_memory() -> None:
-    """Return to the system the memory that start-up and compilation have freed (glibc keeps it)."""
+    """Give the memory freed after start-up and compilation back to the system (glibc keeps it)."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
 
 
 def enable_compilation_cache() -> None:
-    """Turn on jax's compilation cache, so that the next run of the same sizes starts at once."""
+    """Turn on jax's compilation cache, so that the next run of the same sizes starts fast."""
     import jax  # not before `configure_xla`
 
     default = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "sndjax" / "jax"
@@ -50,13 +53,14 @@ def rss_mb() -> float:
 def run_script(main: Callable[[list[str]], int]) -> None:
     """Run a command with the arguments of this process, and exit with its status.
 
-    A reader of its output that goes away ends it without a traceback. A status of a signal
-    (128 + its number) leaves at once: an update that was broken off may have minutes to go.
+    If the reader of the output closes the pipe, the command ends without a traceback. With the
+    status of a signal (128 + its number) the process exits at once, because an interrupted update
+    may still compute for minutes.
     """
     try:
         status = main(sys.argv[1:])
         sys.stdout.flush()
-    except BrokenPipeError:  # nobody reads any more
+    except BrokenPipeError:  # the reader of the output closed the pipe
         status = 1
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.stderr.flush()

@@ -1,8 +1,8 @@
-"""How a command of the laboratory is started in a process of its own: the one place.
+"""Starting commands of the laboratory in child processes; no other module does this.
 
-A child is started by the name that the laboratory was imported under: `experiments` in a checkout,
-`sndjax_lab` where it is installed. With `-P` Python leaves the working directory out of its search
-path, so that no `experiments` folder of the user's is taken for ours.
+A child is started by the package name that the laboratory was imported under: `experiments` in a
+checkout, `sndjax_lab` where it is installed. With `-P` Python leaves the working directory out of
+its search path, so that an `experiments` folder of the user is not imported by mistake.
 """
 
 import os
@@ -22,9 +22,9 @@ def command_line(command: str, *arguments: str, dies_with_parent: bool = False) 
     """Return the command line that runs a command of `cli.py` in a child process.
 
     Args:
-      command: its name, such as "run".
-      *arguments: what it is given.
-      dies_with_parent: send the child a SIGTERM when this process ends, where the system can.
+      command: the name of the command, such as "run".
+      *arguments: the arguments of the command.
+      dies_with_parent: send the child SIGTERM when this process ends, if `setpriv` is installed.
     """
     line = [sys.executable, "-P", "-m", f"{PACKAGE}.cli", command, *arguments]
     if dies_with_parent and shutil.which("setpriv"):
@@ -33,9 +33,9 @@ def command_line(command: str, *arguments: str, dies_with_parent: bool = False) 
 
 
 def child_environment(**variables: str) -> dict[str, str]:
-    """Return this process' environment for a child, with further variables over it.
+    """Return the environment of this process for a child, with variables added or replaced.
 
-    A checkout that is not installed is put on the child's search path.
+    If the package is not installed, the checkout is added to the child's search path.
     """
     environment = os.environ | variables
     if PACKAGE != INSTALLED:
@@ -52,17 +52,20 @@ def start_command(
     cwd: str | None = None,
     variables: Mapping[str, str] = {},
 ) -> subprocess.Popen[bytes]:
-    """Start a command that outlives neither this process nor its own work.
+    """Start a command in a child process that ends when this process ends.
 
-    It is a session of its own, so that a terminal's Ctrl-C is for this process to answer, and it
-    gets a SIGTERM when this process ends.
+    The child has a separate session, so that Ctrl-C in a terminal reaches only this process. It
+    gets SIGTERM when this process ends.
 
     Args:
-      command: its name, such as "run".
-      arguments: what it is given.
-      output: a file for what it prints; None: this process' own.
-      cwd: where it runs.
+      command: the name of the command, such as "run".
+      arguments: the arguments of the command.
+      output: a file for what the child prints; None: the output of this process.
+      cwd: the working directory of the child; None: that of this process.
       variables: further environment variables.
+
+    Returns:
+      The child process.
     """
     return subprocess.Popen(
         command_line(command, *arguments, dies_with_parent=True),

@@ -1,4 +1,4 @@
-"""The versions of what a run runs on."""
+"""The versions of the software and the device that a run uses."""
 
 import platform
 import subprocess
@@ -9,8 +9,8 @@ PACKAGES = ("jax", "jaxlib", "flax", "optax", "envpool", "numpy")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that figures depend on, the device, the git revision."""
-    import jax  # the first thing that asks for a device
+    """Return the versions of Python and the packages, the device, and the git revision."""
+    import jax  # imported here: `jax.devices` is the first request for a device
 
     found = {"python": platform.python_version()}
     found |= {name: version(name) for name in PACKAGES}

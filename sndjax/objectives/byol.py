@@ -9,17 +9,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.networks import MLP
+from sndjax.protocols import Encode, Objective, TargetNetwork
 from sndjax.statistics import masked_mean, safe_sqrt
-from sndjax.types import (
-    Encode,
-    Features,
-    Loss,
-    Objective,
-    Params,
-    Rollout,
-    TargetNetwork,
-    Transition,
-)
+from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 
 class BYOLParams(NamedTuple):

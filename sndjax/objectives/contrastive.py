@@ -6,8 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.convolution import to_float
+from sndjax.protocols import Encode, Objective
 from sndjax.statistics import broadcast_mask
-from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
+from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 TILES = (1, 2, 4, 8, 12, 16)  # sides in pixels; those that divide the image are used
 NOISE = 0.2

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.networks import MLP, mlp_widths
+from sndjax.protocols import Encode, Objective
 from sndjax.statistics import masked_mean
-from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
+from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 
 def inverse_dynamics_loss(

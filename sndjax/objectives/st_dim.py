@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from sndjax.protocols import Encode, Objective
 from sndjax.statistics import masked_mean, safe_sqrt, valid_count
-from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
+from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 SLICE = 12  # positions whose [B, B] logits exist at once
 

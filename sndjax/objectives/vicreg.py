@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from sndjax.protocols import Encode, Objective
 from sndjax.statistics import broadcast_mask, masked_mean, masked_sum, valid_count
-from sndjax.types import Encode, Features, Loss, Objective, Params, Rollout, Transition
+from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 
 def vicreg_loss(

@@ -2,7 +2,7 @@
 
 from sndjax.objectives.inverse_dynamics import inverse_dynamics
 from sndjax.objectives.vicreg import vicreg
-from sndjax.types import Objective
+from sndjax.protocols import Objective
 from sndjax.weighted_sum import weighted_sum
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
+from sndjax.protocols import EncoderView, Signal
 from sndjax.rollout import map_over_time
 from sndjax.signals.prediction import (
     encode_rollout,
@@ -15,16 +16,7 @@ from sndjax.signals.prediction import (
     predict_next_features,
     prediction_loss,
 )
-from sndjax.types import (
-    EncoderView,
-    Features,
-    Loss,
-    Params,
-    Rollout,
-    Signal,
-    State,
-    Transition,
-)
+from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
 
 def ensemble_variance(predicted: Float[Array, "K B d"]) -> Float[Array, " B"]:

@@ -10,18 +10,10 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.convolution import to_float
 from sndjax.networks import Encoder
+from sndjax.protocols import EncoderView, Signal
 from sndjax.rollout import map_over_time
 from sndjax.statistics import broadcast_mask
-from sndjax.types import (
-    EncoderView,
-    Features,
-    Loss,
-    Params,
-    Rollout,
-    Signal,
-    State,
-    Transition,
-)
+from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
 RewardReduction = Literal["mean", "half_sum"]
 LossReduction = Literal["mean", "sum"]

@@ -9,19 +9,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection
+from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.prediction import encode_rollout
 from sndjax.statistics import init_running_statistics, safe_sqrt, update_running_statistics
-from sndjax.types import (
-    EncoderView,
-    Features,
-    Loss,
-    Params,
-    Rollout,
-    RunningStatistics,
-    Signal,
-    State,
-    Transition,
-)
+from sndjax.types import Features, Loss, Params, Rollout, RunningStatistics, State, Transition
 
 
 class Ellipsoid(NamedTuple):

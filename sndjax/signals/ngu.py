@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection
 from sndjax.networks import Encoder
+from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.distillation import (
     LossReduction,
     RewardReduction,
@@ -18,7 +19,7 @@ from sndjax.signals.distillation import (
 )
 from sndjax.signals.prediction import encode_rollout
 from sndjax.statistics import init_running_statistics, std, update_running_statistics
-from sndjax.types import EncoderView, Features, Params, Rollout, RunningStatistics, Signal
+from sndjax.types import Features, Params, Rollout, RunningStatistics
 
 
 class Memory(NamedTuple):
@@ -46,6 +47,22 @@ class NGUState(NamedTuple):
     errors: RunningStatistics  # of the distillation error
     memory: Memory
     projection: Float[Array, "w d"] | None  # None where features are narrow enough
+
+
+def init_memory(envs: int, memory_size: int, width: int) -> Memory:
+    """Return an empty memory for every environment.
+
+    Args:
+      envs: N.
+      memory_size: C.
+      width: d.
+    """
+    return Memory(
+        z=jnp.zeros((envs, memory_size, width)),
+        size=jnp.zeros(envs, jnp.int32),
+        distances=jnp.zeros(()),
+        mean=jnp.zeros(()),
+    )
 
 
 def append_to_memory(memory: Memory, z: Float[Array, "N d"], counted: Bool[Array, " N"]) -> Memory:
@@ -192,17 +209,10 @@ def ngu(
         params, _ = base.init(key_base, example, features, num_actions)
         envs, wide = example.shape[0], features.z.shape[-1]
         narrow = min(width, wide)
-        memory = Memory(
-            z=jnp.zeros((envs, memory_size, narrow)),
-            size=jnp.zeros(envs, jnp.int32),
-            distances=jnp.zeros(()),
-            mean=jnp.zeros(()),
-        )
-        project = narrow < wide
         return params, NGUState(
             errors=init_running_statistics(()),
-            memory=memory,
-            projection=random_projection(key_projection, wide, narrow) if project else None,
+            memory=init_memory(envs, memory_size, narrow),
+            projection=random_projection(key_projection, wide, narrow) if narrow < wide else None,
         )
 
     def reward(

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection, simhash_code
 from sndjax.networks import Encoder
+from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.distillation import (
     LossReduction,
     RewardReduction,
@@ -17,7 +18,7 @@ from sndjax.signals.distillation import (
     rollout_distillation_error,
 )
 from sndjax.signals.prediction import encode_rollout
-from sndjax.types import EncoderView, Features, Params, Rollout, Signal
+from sndjax.types import Features, Params, Rollout
 
 
 class NovelDState(NamedTuple):

@@ -10,18 +10,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.networks import MLP, mlp_widths
+from sndjax.protocols import EncoderView, Signal
 from sndjax.rollout import map_over_time
 from sndjax.statistics import masked_mean
-from sndjax.types import (
-    EncoderView,
-    Features,
-    Loss,
-    Params,
-    Rollout,
-    Signal,
-    State,
-    Transition,
-)
+from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
 Gradient = Literal["symmetric", "detached", "asymmetric"]
 

@@ -5,17 +5,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
+from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.prediction import encode_rollout
-from sndjax.types import (
-    EncoderView,
-    Features,
-    Loss,
-    Params,
-    Rollout,
-    Signal,
-    State,
-    Transition,
-)
+from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
 SLICE = 512  # rows whose distances to all others exist at once
 

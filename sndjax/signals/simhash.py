@@ -6,17 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection, simhash_code
+from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.prediction import encode_rollout
-from sndjax.types import (
-    EncoderView,
-    Features,
-    Loss,
-    Params,
-    Rollout,
-    Signal,
-    State,
-    Transition,
-)
+from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
 
 class SimHashState(NamedTuple):

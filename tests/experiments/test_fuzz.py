@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 import yaml
-from test_run import CAR, start
+from helpers.processes import CAR, start
 
 from experiments.analysis import update_replay as replay
 from experiments.config import validation as validate
 from experiments.config.saved import read_saved
-from experiments.config.schema import ConfigError
 from experiments.run import main
+from experiments.system.errors import ConfigError
 from experiments.training import trainer as training
 
 KEYS = [*(name for name, _ in validate.config_options()), "env", "algo"]

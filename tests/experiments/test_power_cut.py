@@ -9,9 +9,7 @@ import random
 import stat
 
 import pytest
-from test_run import CAR, lines
-from test_same_again import tree_of
-from test_survival import check_nothing_lost
+from helpers.processes import CAR, check_nothing_lost, lines, tree_of
 
 from experiments.run import main
 

@@ -1,36 +1,16 @@
 """The command line as a user meets it: through a process of its own, on real environments."""
 
-import json
 import math
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from helpers.processes import CAR, SMALL, lines, run, without_clock
 
 from experiments.config.schema import SIGNALS
 from experiments.run import main
 from sndjax.algorithms import NAMED
 
-ROOT = Path(__file__).parents[2]
-SMALL = ["num_envs=8", "rollout_length=16", "ppo.minibatch_size=64", "ppo.epochs=1"]
-CAR = ["env=MountainCar", "num_envs=4", "rollout_length=32", "ppo.minibatch_size=64"]
 ACTIONS = {"Venture": 18, "Coinrun": 15, "MountainCar": 3}
-
-
-def start(arguments, cwd, out=subprocess.PIPE):
-    command = [sys.executable, "-m", "experiments.run", *arguments]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        command, cwd=cwd, env=environment, text=True, stdout=out, stderr=subprocess.PIPE
-    )
-
-
-def run(arguments, cwd):
-    with start(arguments, cwd) as process:
-        out, err = process.communicate(timeout=300)
-    return process.returncode, out, err
 
 
 def train(path, *arguments):
@@ -38,17 +18,6 @@ def train(path, *arguments):
     assert status == 0, err
     assert "Traceback" not in err
     return out
-
-
-def lines(path):
-    return [json.loads(line) for line in (path / "metrics.jsonl").read_text().splitlines()]
-
-
-def without_clock(entries):
-    return [
-        {k: v for k, v in entry.items() if "second" not in k and "rss" not in k}
-        for entry in entries
-    ]
 
 
 FOUR = ["ppo", "rnd", "snd_std", "snd_vic"]

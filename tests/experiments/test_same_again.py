@@ -4,30 +4,9 @@ import json
 import subprocess
 import sys
 
-import jax
 import numpy as np
 import pytest
-from test_run import CAR, lines, start, without_clock
-
-from experiments.config.compose import load_config
-from experiments.environments.pools import make_pool
-from experiments.storage.checkpoints import Checkpoints
-from experiments.training.agents import build_agent, init_states
-
-
-def tree_of(path, config=None):
-    """The newest checkpoint of a run, as plain arrays."""
-    config = config or load_config([f"resume={path}"])
-    pool = make_pool(config.env, config.seeds, config.num_envs)
-    agent = build_agent(config, pool)
-    example = np.zeros((config.num_envs, *pool.shape), pool.dtype)
-    like = jax.eval_shape(lambda: init_states(agent, config.seeds, example))
-    checkpoints = Checkpoints(path)
-    iteration, _, said = checkpoints.find(lambda manifest: None)
-    assert not said
-    state = checkpoints.load(iteration, like)
-    return iteration, jax.tree.leaves(state._replace(key=jax.random.key_data(state.key)))
-
+from helpers.processes import CAR, lines, start, tree_of, without_clock
 
 VENTURE = ["env=Venture", "algo=snd_std", "num_envs=4", "rollout_length=32"]
 VENTURE += ["ppo.minibatch_size=64", "algo.minibatch_size=64"]

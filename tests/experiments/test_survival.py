@@ -3,7 +3,6 @@
 `make test-survival` does it in the numbers that docs/survival.md reports.
 """
 
-import bisect
 import json
 import os
 import random
@@ -15,9 +14,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from test_boards import events
-from test_run import CAR, lines, start, without_clock
-from test_same_again import tree_of
+from helpers.processes import CAR, check_nothing_lost, lines, start, tree_of, without_clock
 
 from experiments.config.compose import load_config
 from experiments.run import main
@@ -34,27 +31,6 @@ def running(arguments, cwd, out=subprocess.DEVNULL):  # a pipe that nobody reads
 
 
 survival = pytest.mark.survival
-
-
-def check_nothing_lost(path, iterations, seeds=1):
-    """Every iteration once in every log, and the logs agree with each other."""
-    entries = lines(path)
-    assert [(e["iteration"], e["seed"]) for e in entries] == [
-        (i, s) for i in range(1, iterations + 1) for s in range(seeds)
-    ]
-    rows = [row.split(",") for row in (path / "episodes.csv").read_text().splitlines()[1:]]
-    for seed in range(seeds):
-        steps = [int(row[1]) for row in rows if int(row[0]) == seed]
-        own = [e for e in entries if e["seed"] == seed]
-        assert steps == sorted(steps)
-        for entry in own:
-            assert entry["episodes"] == bisect.bisect_right(steps, entry["step"])
-            assert entry["transitions"] <= entry["step"]
-        board = events(path / "tensorboard" / f"seed_{seed}")[2:]
-        logged = [event for event in board if "entropy" in {v.tag for v in event.summary.value}]
-        assert [event.step for event in logged] == [e["step"] for e in own]
-    summary = json.loads((path / "summary.json").read_text())["seeds"]
-    assert sum(seed["episodes"] for seed in summary) == len(rows)
 
 
 def prefix(path):

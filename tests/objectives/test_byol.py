@@ -1,7 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, NO_ROLLOUT, no_encode, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -69,12 +69,13 @@ def test_each_view_predicts_the_averaged_network_of_the_other():
     params, slow = (objective.init(jax.random.key(k), features, 3) for k in (0, 1))
     valid = jnp.arange(5) < 4
     batch = Transition(jnp.concatenate([frame, next_frame]), None, None, None, valid)
-    average = TargetNetwork(slow, lambda x: (2 * x, None))
-    got, _ = objective.loss(params, None, features, batch, None, None, average=average)
+    target = TargetNetwork(slow, lambda x: (2 * x, None))
+    key = jax.random.key(2)
+    got, _ = objective.loss(params, no_encode, features, batch, NO_ROLLOUT, key, target=target)
     wanted = 0.0
     for mine, other in ((frame, next_frame), (next_frame, frame)):
-        online = perceptron(params["predictor"], perceptron(params["projector"], np.asarray(mine)))
-        wanted += in_numpy(online, perceptron(slow["projector"], 2 * np.asarray(other)), valid)
+        online = perceptron(params.predictor, perceptron(params.projector, np.asarray(mine)))
+        wanted += in_numpy(online, perceptron(slow.projector, 2 * np.asarray(other)), valid)
     np.testing.assert_allclose(got, wanted, rtol=1e-4)
 
 
@@ -83,16 +84,18 @@ def test_the_slow_copy_follows_encoder_and_heads_and_gets_no_gradient():
     module = snd_byol(VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), batch.frames[0])
     for part in ("encoder", "objective"):
-        jax.tree.map(np.testing.assert_array_equal, state["slow"][part], params[part])
+        jax.tree.map(
+            np.testing.assert_array_equal, getattr(state.slow, part), getattr(params, part)
+        )
     moved = jax.tree.map(lambda x: x + 1.0, params)
     after = module.update(moved, state)
     for part in ("encoder", "objective"):
         jax.tree.map(
             lambda slow, old: np.testing.assert_allclose(slow, old + 0.01, atol=1e-6),
-            after["slow"][part], params[part],
+            getattr(after.slow, part), getattr(params, part),
         )  # fmt: skip
     # Its encoder decides the loss, and is not among what is differentiated.
     rows, key = gather_transitions(batch, jnp.arange(32)), jax.random.key(2)
     loss = jax.jit(module.loss)
     assert loss(params, state, rows, batch, key)[0] != loss(params, after, rows, batch, key)[0]
-    assert set(params) == {"encoder", "objective", "signal"}
+    assert params._fields == ("encoder", "objective", "signal")

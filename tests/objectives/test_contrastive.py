@@ -1,11 +1,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import contrastive, contrastive_loss, gather_transitions
+from sndjax import Features, contrastive, contrastive_loss, gather_transitions
 from sndjax.objectives.contrastive import augment as eager_augment
 from sndjax.objectives.contrastive import draw_pairs as eager_draw_pairs
 
@@ -114,7 +114,7 @@ def test_the_objective_draws_an_eighth_of_the_minibatch_from_the_whole_rollout()
         return frames, None
 
     for key in jax.random.split(jax.random.key(0), 8):
-        contrastive().loss({}, encode, None, rows, batch, key)
+        contrastive().loss({}, encode, Features(*4 * [None]), rows, batch, key)
     assert all(frames.shape == (6, 5) for frames in seen)
     drawn = {round(float(np.median(row))) for frames in seen for row in frames}
     valid = set(np.flatnonzero(np.asarray(batch.valid)))

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from helpers.rollouts import NO_ROLLOUT, no_encode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -61,7 +62,7 @@ def test_the_model_reads_both_states_and_has_the_widths_of_the_table(last, middl
         x = x + np.asarray(dense["bias"], np.float64)
     _, action, valid = case(0, rows=6, actions=3)
     batch = Transition(None, action, None, None, valid)
-    got, _ = objective.loss(params, None, features, batch, None, None)
+    got, _ = objective.loss(params, no_encode, features, batch, NO_ROLLOUT, jax.random.key(1))
     np.testing.assert_allclose(got, in_numpy(x, action, valid), rtol=1e-4)
     gain = np.linalg.svd(np.asarray(params["params"]["Dense_0"]["kernel"]))[1]
     np.testing.assert_allclose(gain, np.sqrt(2), rtol=1e-5)

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from helpers.rollouts import NO_ROLLOUT, no_encode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -142,7 +143,7 @@ def test_the_objective_maps_the_next_states_features():
     )
     valid = jnp.ones(rows, bool)
     batch = Transition(None, None, None, None, valid)
-    got, _ = objective.loss(params, None, features, batch, None, None)
+    got, _ = objective.loss(params, no_encode, features, batch, NO_ROLLOUT, jax.random.key(1))
     wanted = in_numpy(
         features.local,
         mapped(features.local_next, "local"),

@@ -2,6 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.rollouts import NO_ROLLOUT, no_encode
 
 from sndjax import (
     Features,
@@ -25,7 +26,7 @@ def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
     vinv = vicreg_inverse()
     params = vinv.init(jax.random.key(0), features, 3)
     batch = Transition(None, action, None, None, valid)
-    got, metrics = vinv.loss(params, None, features, batch, None, jax.random.key(1))
+    got, metrics = vinv.loss(params, no_encode, features, batch, NO_ROLLOUT, jax.random.key(1))
     logits = MLP((8, 4, 3)).apply(params[1], jnp.concatenate([z, z_next], -1))
     wanted = vicreg_loss(z, z_next, valid)[0] + inverse_dynamics_loss(logits, action, valid)[0] / 2
     np.testing.assert_allclose(got, wanted, rtol=1e-5)
@@ -33,5 +34,5 @@ def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
 
 
 def test_a_part_with_a_moving_average_is_refused():
-    with pytest.raises(ValueError, match="moving average"):
+    with pytest.raises(ValueError, match="ema_decay"):
         weighted_sum((1, vicreg()), (1, byol()))

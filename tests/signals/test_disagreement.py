@@ -1,7 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -34,9 +34,9 @@ def test_members_start_apart_and_the_reward_is_their_variance():
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
     encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
     rows = gather_transitions(made, jnp.arange(32))
-    z, _ = encoder.apply(state["encoder"], rows.frame)
+    z, _ = encoder.apply(state.encoder, rows.frame)
     predictions = [
-        predict_next_features(jax.tree.map(lambda x, k=k: x[k], params["signal"]), z, rows.action)
+        predict_next_features(jax.tree.map(lambda x, k=k: x[k], params.signal), z, rows.action)
         for k in range(5)
     ]
     assert np.abs(predictions[0] - predictions[1]).max() > 0.1
@@ -50,8 +50,9 @@ def test_each_member_learns_from_rows_of_its_own():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = make_module("none", "disagreement", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
-    params = {"signal": jax.tree.map(lambda x: jnp.stack([x[0]] * 5), params["signal"])}
+    equal = jax.tree.map(lambda x: jnp.stack([x[0]] * 5), params.signal)
+    params = params._replace(signal=equal)
     rows = gather_transitions(made, jnp.arange(32))
     gradient = jax.jit(jax.grad(lambda p, k: module.loss(p, state, rows, made, k)[0]))
-    kernel = gradient(params, jax.random.key(0))["signal"]["params"]["Dense_2"]["kernel"]
+    kernel = gradient(params, jax.random.key(0)).signal["params"]["Dense_2"]["kernel"]
     assert all(np.abs(kernel[0] - kernel[k]).max() > 0 for k in range(1, 5))

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,7 +27,7 @@ def test_equals_the_equations_in_float64(seed):
     counted = squared[np.asarray(valid)]
     if counted.size:
         np.testing.assert_allclose(distillation_loss(a, b, valid), counted.mean(), rtol=1e-5)
-        total = distillation_loss(a, b, valid, reduction="sum")
+        total = distillation_loss(a, b, valid, loss_reduction="sum")
         np.testing.assert_allclose(total, counted.sum(), rtol=1e-5)
 
 
@@ -60,7 +60,7 @@ def test_rnd_subtracts_the_mean_of_what_it_has_seen_and_reads_the_reward_after()
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, state = module.reward(params, state, made, jax.random.key(1))
     seen = np.asarray(made.frames[:-1])[np.asarray(made.valid)]
-    np.testing.assert_allclose(state["moments"].mean, seen.mean(0), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(state.moments.mean, seen.mean(0), rtol=1e-4, atol=1e-6)
 
     # The same reward from weights in NumPy: two ELU layers and a linear one.
     def encode(weights, x):
@@ -71,7 +71,7 @@ def test_rnd_subtracts_the_mean_of_what_it_has_seen_and_reads_the_reward_after()
         return x @ np.asarray(weights["params"]["Dense_0"]["kernel"], np.float64)
 
     x = np.asarray(made.frames[:-1], np.float64) - seen.astype(np.float64).mean(0)
-    wanted = ((encode(params["signal"], x) - encode(state["encoder"], x)) ** 2).sum(-1) / 2
+    wanted = ((encode(params.signal, x) - encode(state.encoder, x)) ** 2).sum(-1) / 2
     valid = np.asarray(made.valid)
     np.testing.assert_allclose(np.asarray(reward)[valid], wanted[valid], rtol=1e-3)
     assert np.all(np.asarray(reward)[~valid] == 0)
@@ -89,4 +89,4 @@ def test_every_preprocessing_runs_on_every_input(mode, kind):
         params, state, gather_transitions(made, jnp.arange(8)), made, jax.random.key(2)
     )
     assert np.isfinite(loss)
-    assert (state["moments"] is None) == (mode == "none")
+    assert (state.moments is None) == (mode == "none")

@@ -1,7 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -81,10 +81,10 @@ def test_wide_features_are_projected_and_the_reward_is_their_bonus():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = make_module("none", "e3b", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
-    assert state["signal"]["projection"] is None  # 16 features are few enough
+    assert state.signal.projection is None  # 16 features are few enough
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
     encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
-    z, _ = encoder.apply(state["encoder"], made.frames.reshape(36, -1))
+    z, _ = encoder.apply(state.encoder, made.frames.reshape(36, -1))
     valid = np.asarray(made.valid)
     z = np.asarray(z, np.float64).reshape(9, 4, 16)
     z = z / np.sqrt((z[:-1][valid] ** 2).mean())
@@ -92,5 +92,5 @@ def test_wide_features_are_projected_and_the_reward_is_their_bonus():
     np.testing.assert_allclose(np.asarray(reward)[valid], wanted[valid], rtol=5e-3)
     wide = Features(jnp.zeros((1, 512)), None, None, None)
     _, state = e3b().init(jax.random.key(0), made.frames[0], wide, 3)
-    assert state["projection"].shape == (512, 128)
-    assert state["covariance"].shape == (4, 128, 128)
+    assert state.projection.shape == (512, 128)
+    assert state.covariance.shape == (4, 128, 128)

@@ -1,7 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -43,7 +43,7 @@ class InNumpy:
                 distance = nearest[n] / (np.mean(self.distances) or 1)
                 distance = np.maximum(distance - k.cluster, 0)
                 similar = np.sqrt((k.epsilon / (distance + k.epsilon)).sum()) + k.constant
-                out[t, n] = 0 if similar > k.most else 1 / similar
+                out[t, n] = 0 if similar > k.max_similarity else 1 / similar
                 self.lists[n] = [*self.lists[n], z[t + 1, n]][-self.capacity :]
         return out
 
@@ -74,7 +74,7 @@ def test_ten_equal_neighbours_are_worth_one_over_the_root_of_ten():
     novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, Kernel())
     wanted = [1 / (np.sqrt(min(k, 10)) + 1e-3) for k in range(1, 21)]
     np.testing.assert_allclose(novelty[:, 0], wanted, rtol=1e-5)
-    similar = Kernel(most=2.0)  # beyond it nothing is novel
+    similar = Kernel(max_similarity=2.0)  # beyond it nothing is novel
     novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, similar)
     assert np.all(novelty[4:, 0] == 0)
     assert np.all(novelty[:3, 0] > 0)
@@ -97,11 +97,11 @@ def test_the_reward_is_the_product_of_both():
         OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric"
     )
     frames = made.frames.reshape(36, -1)
-    z, _ = encoder.apply(params["encoder"], frames)
-    copy, _ = learned.apply(params["signal"], frames)
+    z, _ = encoder.apply(params.encoder, frames)
+    copy, _ = learned.apply(params.signal, frames)
     error = np.asarray(distillation_error(copy, z), np.float64).reshape(9, 4)[1:]
     valid = np.asarray(made.valid)
     factor = np.clip(1 + (error - error[valid].mean()) / error[valid].std(), 1, 5)
     episodic = InNumpy(4, 1024, Kernel()).rewards(np.asarray(z).reshape(9, 4, 16), made)
     np.testing.assert_allclose(np.asarray(reward)[valid], (episodic * factor)[valid], rtol=5e-3)
-    assert int(after["signal"]["errors"].samples) == valid.sum()
+    assert int(after.signal.errors.samples) == valid.sum()

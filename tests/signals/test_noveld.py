@@ -1,7 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -63,10 +63,10 @@ def test_the_reward_is_the_gain_in_distillation_novelty():
         OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric"
     )
     frames = made.frames.reshape(36, -1)
-    target, _ = encoder.apply(params["encoder"], frames)
-    copy, _ = learned.apply(params["signal"], frames)
+    target, _ = encoder.apply(params.encoder, frames)
+    copy, _ = learned.apply(params.signal, frames)
     novelty = np.asarray(distillation_error(copy, target)).reshape(9, 4)
-    code = np.asarray(target) @ np.asarray(state["signal"]["projection"]) > 0
+    code = np.asarray(target) @ np.asarray(state.signal.projection) > 0
     names = np.unique(code, axis=0, return_inverse=True)[1].reshape(9, 4)
     new, _ = in_numpy(np.zeros((4, 36)), names, made)
     wanted = np.where(new, np.maximum(novelty[1:] - 0.5 * novelty[:-1], 0), 0)

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -50,8 +50,8 @@ def test_the_reward_is_the_surprise_at_the_true_next_state():
     module = sp_vic(VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
-    z = encode_in_numpy(params["encoder"], np.asarray(made.frames, np.float64))
-    foreseen = forward_in_numpy(params["signal"], z[:-1], np.asarray(made.action), VECTOR.actions)
+    z = encode_in_numpy(params.encoder, np.asarray(made.frames, np.float64))
+    foreseen = forward_in_numpy(params.signal, z[:-1], np.asarray(made.action), VECTOR.actions)
     wanted = np.tanh(((foreseen - z[1:]) ** 2).mean(-1))
     valid = np.asarray(made.valid)
     assert np.any(np.asarray(made.done) & valid)
@@ -67,20 +67,20 @@ def test_the_forward_loss_moves_the_encoder_as_it_is_told(gradient):
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     forward = lambda p: module.loss(p, state, rows, made, key)[1]["prediction_loss"]
     got = jax.jit(jax.grad(forward))(params)
-    assert any(np.any(x) for x in jax.tree.leaves(got["signal"]))
-    kernel = lambda p: p["encoder"]["params"]["Dense_0"]["kernel"]
-    now = encode_in_numpy(params["encoder"], np.asarray(rows.frame, np.float64))
-    then = encode_in_numpy(params["encoder"], np.asarray(rows.next_frame, np.float64))
+    assert any(np.any(x) for x in jax.tree.leaves(got.signal))
+    kernel = lambda p: p.encoder["params"]["Dense_0"]["kernel"]
+    now = encode_in_numpy(params.encoder, np.asarray(rows.frame, np.float64))
+    then = encode_in_numpy(params.encoder, np.asarray(rows.next_frame, np.float64))
 
     def loss(shift):
         """The loss as a function of the encoder's last layer, where a gradient may flow."""
-        encoder = jax.tree.map(np.asarray, params["encoder"])
+        encoder = jax.tree.map(np.asarray, params.encoder)
         encoder["params"]["Dense_0"]["kernel"] = np.asarray(kernel(params), np.float64) + shift
         z = encode_in_numpy(encoder, np.asarray(rows.frame, np.float64))
         z_next = encode_in_numpy(encoder, np.asarray(rows.next_frame, np.float64))
         z = now if gradient == "asymmetric" else z
         z_next = z_next if gradient == "symmetric" else then
-        foreseen = forward_in_numpy(params["signal"], z, np.asarray(rows.action), VECTOR.actions)
+        foreseen = forward_in_numpy(params.signal, z, np.asarray(rows.action), VECTOR.actions)
         return ((foreseen - z_next) ** 2).mean(-1)[np.asarray(rows.valid)].mean()
 
     direction = np.random.default_rng(1).normal(size=kernel(params).shape)
@@ -101,7 +101,7 @@ def test_icm_weighs_its_losses_and_detaches_the_forward_target():
     whole = icm(VECTOR.actions, VECTOR.size, gradient="symmetric")
     slope = lambda m: jax.jit(jax.grad(lambda p: m.loss(p, state, rows, made, key)[0]))(params)
     for same, ours, other in zip(
-        *(jax.tree.leaves(slope(m)["encoder"]) for m in (detached, module, whole)), strict=True
+        *(jax.tree.leaves(slope(m).encoder) for m in (detached, module, whole)), strict=True
     ):
         np.testing.assert_array_equal(ours, same)
         assert ours.ndim == 1 or np.any(np.asarray(ours) != np.asarray(other))

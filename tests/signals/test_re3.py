@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders import KINDS, rollout
+from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -65,7 +65,7 @@ def test_the_reward_is_the_log_of_the_distance_in_feature_space():
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
     encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
-    z, _ = encoder.apply(state["encoder"], made.frames[:-1].reshape(32, -1))
+    z, _ = encoder.apply(state.encoder, made.frames[:-1].reshape(32, -1))
     valid = np.asarray(made.valid).ravel()
     wanted = np.log(in_numpy(z, valid, 3) + 1)
     np.testing.assert_allclose(np.asarray(reward).ravel()[valid], wanted[valid], rtol=1e-3)

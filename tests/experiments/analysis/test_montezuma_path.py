@@ -3,9 +3,10 @@ import json
 import numpy as np
 import pytest
 
+from experiments.analysis import go_explore
 from experiments.analysis import montezuma_path as trajectory
-from experiments.config.schema import ConfigError
 from experiments.environments.pools import MONTEZUMA_ROOM
+from experiments.system.errors import ConfigError
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def test_it_is_long_and_goes_through_many_rooms(walk):
 
 def test_another_emulator_goes_the_same_way(walk):
     """ALE itself, stepped by hand, is in the same room at every step."""
-    emulator = trajectory.Emulator()
+    emulator = go_explore.Emulator()
     rooms = [int(emulator.step(action)[MONTEZUMA_ROOM]) for action in walk.action.tolist()]
     np.testing.assert_array_equal(walk.room, rooms)
 
@@ -37,14 +38,14 @@ def test_a_list_that_leads_elsewhere_is_refused(tmp_path):
 
 
 def test_a_search_can_go_back_to_every_cell():
-    search = trajectory.Search(0)
+    search = go_explore.Search(0)
     for _ in range(12):
         search.explore(search.choose())
     assert len(search.nodes) > 3
     for node in (1, len(search.nodes) - 1):
         actions = search.actions(node)
         assert len(actions) == search.nodes[node].depth
-        emulator = trajectory.Emulator()
+        emulator = go_explore.Emulator()
         for action in actions:
             ram = emulator.step(action)
         emulator.ale.restoreState(search.nodes[node].state)
@@ -52,8 +53,8 @@ def test_a_search_can_go_back_to_every_cell():
 
 
 def test_a_search_ends_with_as_many_states_as_were_asked_for(monkeypatch):
-    monkeypatch.setattr(trajectory, "STATES", 150)
-    search = trajectory.Search(1)
+    monkeypatch.setattr(go_explore, "STATES", 150)
+    search = go_explore.Search(1)
     for _ in range(5):
         search.explore(search.choose())
     end = search.lengthen()

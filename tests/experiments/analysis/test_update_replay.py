@@ -4,11 +4,10 @@ import re
 
 import numpy as np
 import pytest
-from test_run import CAR, lines
-from test_same_again import tree_of
+from helpers.processes import CAR, lines, tree_of
 
-from experiments.analysis.update_replay import main as replay
 from experiments.config.compose import load_config
+from experiments.replay import main as replay
 from experiments.run import main
 
 BROKEN = """
@@ -53,7 +52,7 @@ def test_a_number_that_is_not_finite_stops_the_run_and_can_be_looked_at(broken, 
     assert [e["iteration"] for e in lines(path)] == [1, 2]
     assert tree_of(path, load_config(command))[0] == 2
     dump = path / "wrong-3"
-    assert f"experiments.replay {dump}" in err
+    assert f"sndjax replay {dump}" in err
     assert replay([str(dump)]) == 2
     assert f"say {broken} again if you trust it" in capfd.readouterr().err
     assert replay([str(dump), broken]) == 0

@@ -1,11 +1,12 @@
 import jax
 import jax.numpy as jnp
 import pytest
-from sndjax.make_module import OBJECTIVES, make_encoder_and_predictor
+from helpers.rollouts import NO_ROLLOUT, no_encode
 
 import sndjax
 from experiments.benchmarks import analytic_flops as nominal
 from experiments.training.flops import count_flops
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
 # Of the issue that asked for the benchmark: 10^9 operations a step, Atari.
 PUBLISHED = {
@@ -69,7 +70,7 @@ def test_an_objective_is_the_program_that_runs(objective):
 
     def loss(params, features, action, valid):
         batch = sndjax.Transition(None, action, None, None, valid)
-        return made.loss(params, None, features, batch, None, jax.random.key(1))
+        return made.loss(params, no_encode, features, batch, NO_ROLLOUT, jax.random.key(1))
 
     found = counted(loss, params, features, action, valid) / rows
     assert nominal.objective_flops(objective, sndjax.ATARI, (96, 96, 1), 18, rows) == pytest.approx(

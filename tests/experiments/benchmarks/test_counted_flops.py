@@ -1,11 +1,11 @@
 import pytest
-from sndjax.make_module import OBJECTIVES, make_encoder_and_predictor
 
 import sndjax
 from experiments.benchmarks.analytic_flops import encoder_flops, flops_per_step
 from experiments.benchmarks.counted_flops import ENVS, gflop_per_step
 from experiments.config.compose import load_config
 from sndjax.algorithms import NAMED
+from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
 
 def shared(objective, signal):

@@ -3,11 +3,11 @@
 import json
 
 from experiments.benchmarks import gpu_suite as evidence
-from experiments.benchmarks.gpu_suite import main
+from experiments.gpu_suite import main
 
 
 def test_without_a_gpu_nothing_is_run_and_it_says_so(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(evidence, "backend", lambda: "cpu")
+    monkeypatch.setattr(evidence, "jax_backend", lambda: "cpu")
     assert main(["--out", str(tmp_path / "out")]) == 2
     assert "jax sees no GPU here: not run" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -15,22 +15,22 @@ def test_without_a_gpu_nothing_is_run_and_it_says_so(tmp_path, capsys, monkeypat
 
 def test_runs_stop_at_their_share_of_the_time_and_go_on_when_called_again(tmp_path):
     out = tmp_path / "out"
-    arguments = ["--cpu", "--minutes", "0.4", "--envs", "MountainCar", "--algos", "rnd"]
+    arguments = ["--cpu", "--minutes", "0.4", "--envs", "MountainCar", "--algos", "sp_vinv"]
     reached = []
     for _ in range(2):
         assert main([*arguments, "--out", str(out)]) == 0
-        lines = (out / "MountainCar" / "rnd" / "metrics.jsonl").read_text().splitlines()
+        lines = (out / "MountainCar" / "sp_vinv" / "metrics.jsonl").read_text().splitlines()
         reached.append(json.loads(lines[-1])["step"])
-        assert list((out / "MountainCar" / "rnd" / "checkpoints").iterdir())
+        assert list((out / "MountainCar" / "sp_vinv" / "checkpoints").iterdir())
         assert (out / "report" / "index.html").is_file()
     assert 0 < reached[0] < reached[1] <= 1_003_520
 
 
 RUN = """#!/bin/sh
-echo "begin $3 $4" >> {times}
-trap 'echo "end $3 $4" >> {times}; exit 143' TERM
+echo "begin $5 $6" >> {times}
+trap 'echo "end $5 $6" >> {times}; exit 143' TERM
 case "$*" in *algo=broken*) exit 1;; esac
-echo "says $4, all of the memory: $XLA_PYTHON_CLIENT_PREALLOCATE"
+echo "says $6, all of the memory: $XLA_PYTHON_CLIENT_PREALLOCATE"
 sleep 60 & wait
 """
 
@@ -57,8 +57,8 @@ def test_rounds_share_the_minutes_and_a_run_that_broke_is_named(tmp_path, monkey
         asked.append(([algo for _, algo in cells], seconds, alone))
         return [int(algo == "rnd") for _, algo in cells]
 
-    monkeypatch.setattr(evidence, "train", train)
-    monkeypatch.setattr("experiments.report.write", lambda *_, **__: None)
+    monkeypatch.setattr(evidence, "train_together", train)
+    monkeypatch.setattr(evidence, "write_report", lambda *_, **__: None)
     arguments = ["--cpu", "--minutes", "1", "--envs", "Venture", "--algos", "ppo,rnd,icm"]
     assert main([*arguments, "--at-once", "2", "--out", str(tmp_path / "new" / "out")]) == 2
     assert asked == [(["ppo", "rnd"], 30.0, False), (["icm"], 30.0, False)]

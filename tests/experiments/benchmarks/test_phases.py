@@ -4,8 +4,10 @@ import sys
 
 import pytest
 
-from experiments.benchmarks import phases as bench
-from experiments.benchmarks import timing as timing
+from experiments.bench import main
+from experiments.benchmarks import timing
+from experiments.benchmarks.phases import timed_steps
+from experiments.config.compose import load_config
 
 SMALL = ["num_envs=8", "rollout_length=16", "ppo.minibatch_size=32"]
 MODULE = "algo.minibatch_size=32"
@@ -14,14 +16,14 @@ MODULE = "algo.minibatch_size=32"
 @pytest.fixture
 def quick(monkeypatch):
     """A smaller matrix product: nothing here looks at the rate itself."""
-    monkeypatch.setattr(timing, "SIZE", 256)
+    monkeypatch.setattr(timing, "MATMUL_SIZE", 256)
 
 
 @pytest.mark.parametrize(
     "command", [["algo=ppo"], ["algo=snd_vic", MODULE, "num_seeds=2", "--whole"]]
 )
 def test_the_last_line_is_the_figures_and_they_agree(command, quick, capfd):
-    assert bench.main(["env=MountainCar", *SMALL, *command]) == 0
+    assert main(["env=MountainCar", *SMALL, *command]) == 0
     lines = capfd.readouterr().out.splitlines()
     found = json.loads(lines[-1])
     phases = found["seconds_per_1000_steps"]
@@ -43,17 +45,17 @@ def test_the_last_line_is_the_figures_and_they_agree(command, quick, capfd):
 
 def test_a_cell_without_nominal_work_says_so(quick, capfd):
     command = ["env=MountainCar", "algo=grid", "algo.objective=vicreg", "algo.signal=re3"]
-    assert bench.main([*command, *SMALL, MODULE]) == 0
+    assert main([*command, *SMALL, MODULE]) == 0
     found = json.loads(capfd.readouterr().out.splitlines()[-1])
     assert found["nominal_gflop_per_step"] is None
     assert found["share_of_peak"] is None
 
 
 def test_phases_are_timed_on_whole_minibatches():
-    config = bench.load(["env=Venture", "algo=snd_std"])
-    assert bench.timed_steps(config) == 12  # three of 512, of 128 x 128
-    odd = bench.load(["env=MountainCar", "algo=ppo", "num_envs=8", "ppo.minibatch_size=1024"])
-    assert bench.timed_steps(odd) * 8 % 1024 == 0
+    config = load_config(["env=Venture", "algo=snd_std"])
+    assert timed_steps(config) == 12  # three of 512, of 128 x 128
+    odd = load_config(["env=MountainCar", "algo=ppo", "num_envs=8", "ppo.minibatch_size=1024"])
+    assert timed_steps(odd) * 8 % 1024 == 0
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from experiments.benchmarks.random_agent import main, repeat_actions
+from experiments.benchmarks.random_agent import repeat_actions
+from experiments.random_agent import main
 
 POLE = ["env=envpool", "env.id=CartPole-v1", "num_envs=16", "total_steps=20_000"]
 
@@ -69,4 +70,4 @@ def test_what_cannot_be_is_refused_in_a_line(more, said, capsys):
 
 def test_it_says_what_it_does(capsys):
     assert (main(["--help"]), main([])) == (0, 2)
-    assert capsys.readouterr().out.count("python -m experiments.chance env=CoinrunEasy") == 2
+    assert capsys.readouterr().out.count("sndjax random_agent env=CoinrunEasy") == 2

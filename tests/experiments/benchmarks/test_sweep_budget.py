@@ -4,7 +4,7 @@ import json
 
 from experiments.benchmarks import suite as benches
 from experiments.benchmarks import sweep_budget as budget
-from experiments.benchmarks.sweep_budget import Options, RunCost, budget_tables
+from experiments.benchmarks.sweep_budget import RunCost, budget_tables
 from experiments.sweeps import jobs as cells
 from experiments.sweeps.multirun import compose_hydra
 
@@ -22,9 +22,9 @@ def test_hours_and_disk_are_those_of_the_measured_rates(tmp_path, monkeypatch):
     (tmp_path / "bench-cpu.json").write_text(json.dumps(measured))
     monkeypatch.setattr(benches, "RESULTS", tmp_path)
     kinds = {("rnd", "Atari"): RunCost(9, 3_600_000, 1.0, 200.0, 1000)}
-    monkeypatch.setattr(budget, "kinds_of", lambda sweep: kinds)
-    monkeypatch.setattr(budget, "weight", lambda algo, family: (1.0, 200.0))
-    text = budget_tables(Options(cores=16))
+    monkeypatch.setattr(budget, "sweep_costs", lambda sweep: kinds)
+    monkeypatch.setattr(budget, "work_and_state", lambda algo, family: (1.0, 200.0))
+    text = budget_tables("thesis", 16, 494.0)
     # 3.6M steps at 50 a second: 20 hours. 16 cores at 2,000 a second each: 32,000, 0.03 hours.
     row = next(line for line in text.splitlines() if line.startswith("| `rnd`"))
     shown = [cell.strip() for cell in row.strip("|").split("|")]
@@ -38,7 +38,7 @@ def test_hours_and_disk_are_those_of_the_measured_rates(tmp_path, monkeypatch):
     gpu = {"sp": phases | {"whole_steps_per_second": 500.0}, "icm": phases}
     gpu["icm num_seeds=4"] = {"steps_per_second": 100.0, "num_seeds": 4}
     (tmp_path / "bench-gpu.json").write_text(json.dumps(gpu))
-    text = budget_tables(Options())
+    text = budget_tables("thesis", 16, 494.0)
     row = next(line for line in text.splitlines() if line.startswith("| `rnd`"))
     assert row.endswith("| 20 | 2.0 |")  # one that nobody measured is as slow as the slowest
     assert "TFLOP/s" not in text
@@ -52,9 +52,9 @@ def test_the_thesis_is_720_runs():
 
 
 def test_kinds_are_counted_with_their_seeds(monkeypatch):
-    monkeypatch.setattr(budget, "weight", lambda algo, family: (1.0, 100.0))
+    monkeypatch.setattr(budget, "work_and_state", lambda algo, family: (1.0, 100.0))
     params = ["env=Venture,Climber", "algo=ppo", "seed=range(9)"]
-    monkeypatch.setattr(cells, "product", lambda _: PRODUCT(params))
+    monkeypatch.setattr(cells, "expand_product", lambda _: PRODUCT(params))
     found = budget.sweep_costs("thesis")
     assert {key: kind[:2] for key, kind in found.items()} == {
         ("ppo", "Atari"): (9, 128_000_000),

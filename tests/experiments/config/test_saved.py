@@ -4,7 +4,7 @@ import pytest
 
 from experiments.config.compose import load_config
 from experiments.config.saved import SavedConfig, check_settings, read_saved, run_settings, to_yaml
-from experiments.config.schema import ConfigError
+from experiments.system.errors import ConfigError
 
 VENTURE = ["env=Venture", "algo=snd_std"]
 

@@ -3,8 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.config.schema import ConfigError, option
+from experiments.config.schema import option
 from experiments.config.tool_options import parse_arguments, tool_help
+from experiments.system.errors import ConfigError
 
 
 @dataclass(frozen=True)

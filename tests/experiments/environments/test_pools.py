@@ -9,8 +9,10 @@ import pytest
 
 from experiments.config.compose import load_config
 from experiments.config.envpool_tasks import envpool, family_of
-from experiments.config.schema import ConfigError, EnvConfig
-from experiments.environments.pools import VectorReader, env_seeds, gym, make_pool
+from experiments.config.schema import EnvConfig
+from experiments.environments.observations import VectorReader
+from experiments.environments.pools import env_seeds, gym, make_pool
+from experiments.system.errors import ConfigError
 from sndjax.rollout import push_frame
 
 

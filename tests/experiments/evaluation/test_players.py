@@ -5,29 +5,32 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.processes import ROOT
 
-from experiments.analysis import feature_report as analyze
-from experiments.analysis.state_dataset import States, collect_states, encode_states, torso_features
-from experiments.config.schema import ConfigError
-from experiments.evaluation import metrics as evaluate
-from experiments.evaluation import video as record
+from experiments import analyze, evaluate, record
+from experiments.analysis.state_dataset import (
+    States,
+    collect_states,
+    encode_states,
+    policy_torso_features,
+)
+from experiments.evaluation import video
 from experiments.evaluation.players import (
     episode_novelty,
     load_players,
     play_episodes,
     render_episode,
 )
+from experiments.system.errors import ConfigError
 from sndjax import Rollout
 from sndjax.rollout import push_frame, stack_to_channels
 
-ROOT = Path(__file__).parents[2]
 CAR = ["env=MountainCar", "num_envs=8", "rollout_length=32", "ppo.minibatch_size=128"]
 CAR += ["algo.minibatch_size=128", "num_seeds=2", "total_steps=1000"]
 PIXELS = ["env=MontezumaRevenge", "num_envs=4", "rollout_length=16", "ppo.minibatch_size=64"]
@@ -83,7 +86,7 @@ def test_novelty_is_the_modules_reward(car):
         jnp.asarray(edge == steps - 1),
         jnp.ones((steps, 1), bool),
     )
-    module, state = player.agent.motivation.module, player.state
+    module, state = player.agent.intrinsic.module, player.state
     wanted, _ = module.reward(state.intrinsic, state.intrinsic_state, rollout, jax.random.key(0))
     np.testing.assert_allclose(episode_novelty(player, episode), wanted[:, 0], rtol=1e-4)
 
@@ -122,9 +125,9 @@ def test_record(pixels, tmp_path):
             break
         frames.append(frame)
     assert len(frames) == 30
-    assert frames[0].shape[0] == record.HEIGHT
+    assert frames[0].shape[0] == video.HEIGHT
     # Red is where the mark is: it goes to the right.
-    redness = [f[:, -record.SIDE :].astype(int) @ [0, -1, 1] for f in (frames[2], frames[-2])]
+    redness = [f[:, -video.SIDE :].astype(int) @ [0, -1, 1] for f in (frames[2], frames[-2])]
     left, right = (red.sum(0).argmax() for red in redness)
     assert left < right - 100
     assert cv2.imread(str(sheet)) is not None
@@ -135,7 +138,7 @@ def test_the_torso_sees_the_stacks_that_acting_makes(pixels):
     draw = np.random.default_rng(0)
     frames = draw.integers(0, 256, (7, 96, 96, 1), np.uint8)
     age = np.array([0, 1, 2, 3, 4, 0, 1])
-    found = torso_features(player, States(frames, np.zeros(7, np.int32), age, None))
+    found = policy_torso_features(player, States(frames, np.zeros(7, np.int32), age, None))
     window = jnp.zeros((4, 1, 96, 96, 1), jnp.uint8)
     for t in range(7):
         window = push_frame(window, jnp.asarray(frames[t][None]), jnp.array([age[t] == 0]), True)
@@ -155,7 +158,7 @@ def test_states_follow_one_another_inside_episodes_alone(car):
     z = encode_states(player, states)
     (episode, *_) = play_episodes(player, 4)
     np.testing.assert_array_equal(states.frames[:200], episode.frames[:200])
-    module, state = player.agent.motivation.module, player.state
+    module, state = player.agent.intrinsic.module, player.state
     some = jnp.asarray(episode.frames[:5])
     wanted = module.features(state.intrinsic, state.intrinsic_state, some)
     np.testing.assert_allclose(z[:5], wanted, rtol=1e-4, atol=1e-5)

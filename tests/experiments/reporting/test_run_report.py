@@ -6,10 +6,10 @@ import subprocess
 
 import numpy as np
 import pytest
-from handmade import made
+from helpers.run_files import made
 
+from experiments.report import main
 from experiments.reporting.learning_curves import QUANTITIES, draw_curves
-from experiments.reporting.run_report import main
 from experiments.reporting.thesis_tables import improvement_table, seeds_table, thesis_table
 from experiments.storage.read_runs import find_runs, group_runs
 

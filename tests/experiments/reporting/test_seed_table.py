@@ -4,22 +4,16 @@ import json
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from handmade import made
+from helpers.processes import ROOT
+from helpers.run_files import made
 
-from experiments.reporting.seed_table import (
-    draw_seeds,
-    load_summaries,
-    main,
-    markdown_table,
-    table_rows,
-)
+from experiments.reporting.seed_table import draw_seeds, load_summaries, markdown_table, table_rows
+from experiments.seed_table import main
 
-ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
 RAW = sorted((RESULTS / "explores").glob("*.json"))
 
@@ -132,12 +126,12 @@ def test_a_sweep_becomes_a_table_and_what_is_not_finished_is_named(sweep, tmp_pa
 
 
 def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, monkeypatch):
-    import experiments.style
+    import experiments.reporting.plot_style
 
     figures = []
-    save = experiments.style.save
+    save = experiments.reporting.plot_style.save
     keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
-    monkeypatch.setattr(experiments.style, "save", keep)
+    monkeypatch.setattr(experiments.reporting.plot_style, "save", keep)
     summaries, _ = load_summaries([sweep])
     draw_seeds(summaries, 0.9, tmp_path / "picture")
     (axes,) = figures[0].axes
@@ -153,12 +147,12 @@ def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, mon
 
 @pytest.mark.filterwarnings("error::UserWarning")  # of axes that have no room left
 def test_a_long_name_leaves_the_picture_its_room(tmp_path, monkeypatch):
-    import experiments.style
+    import experiments.reporting.plot_style
 
     figures = []
-    save = experiments.style.save
+    save = experiments.reporting.plot_style.save
     keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
-    monkeypatch.setattr(experiments.style, "save", keep)
+    monkeypatch.setattr(experiments.reporting.plot_style, "save", keep)
     run = {"seed": 0, "last100_ext_return": 1.0}
     settings = ",".join(f"setting_{i}={i}" for i in range(12))
     draw_seeds({f"MountainCar/rnd/0,{settings}": run}, 0.9, tmp_path / "picture")

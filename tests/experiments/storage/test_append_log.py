@@ -46,10 +46,10 @@ def test_a_line_that_the_disk_has_no_room_for_is_not_there_in_part(tmp_path):
     code = f"""
 import resource, signal
 from pathlib import Path
-from experiments.storage.append_log import Log
+from experiments.storage.append_log import AppendLog
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (30, 30))
-log = Log(Path({str(tmp_path / "log")!r}))
+log = AppendLog(Path({str(tmp_path / "log")!r}))
 log.write("a line of twenty....\\n")
 log.flush()
 for _ in range(2):

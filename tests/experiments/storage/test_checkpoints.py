@@ -70,7 +70,7 @@ def test_a_state_comes_back_bit_for_bit(name, tmp_path):
 
 def test_the_state_may_be_used_up_while_it_is_written(state, tmp_path, monkeypatch):
     go_on, written = threading.Event(), checkpoint.write_tree
-    monkeypatch.setattr(checkpoint, "write", lambda *args: go_on.wait(10) and written(*args))
+    monkeypatch.setattr(checkpoint, "write_tree", lambda *args: go_on.wait(10) and written(*args))
     checkpoints = Checkpoints(tmp_path)
     mine = jax.tree.map(jnp.copy, state)
     checkpoints.save(0, mine, {})
@@ -125,7 +125,7 @@ def test_arrays_that_would_execute_something_are_refused(state, tmp_path, monkey
     saved(tmp_path, state, [1])
     path, trace = tmp_path / "checkpoints" / "1", tmp_path / "trace"
     np.savez(path / "arrays.npz", **{"policy": np.array([Bomb(trace)], dtype=object)})
-    monkeypatch.setattr(checkpoint, "verified", lambda path: {})
+    monkeypatch.setattr(checkpoint, "verify_manifest", lambda path: {})
     with pytest.raises(CheckpointError, match="allow_pickle=False"):
         checkpoint.read_tree(path, jax.eval_shape(lambda: unwrap_key(state)))
     assert not trace.exists()
@@ -213,7 +213,7 @@ def test_what_was_killed_while_it_was_written_is_no_checkpoint(state, tmp_path, 
     def killed(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(checkpoint, "settle", killed)
+    monkeypatch.setattr(checkpoint, "fsync_path", killed)
     with pytest.raises(KeyboardInterrupt):
         checkpoint.write_tree(tmp_path / "checkpoints" / "2", {"a": np.ones(3)}, {})
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["1"]
@@ -225,9 +225,9 @@ def test_a_write_that_fails_is_told_at_the_next_one(state, tmp_path, monkeypatch
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint, "settle", full)
+    monkeypatch.setattr(checkpoint, "fsync_path", full)
     checkpoints.save(2, state, {})
-    with pytest.raises(OSError, match=r"No space left.*that of iteration 1 stands"):
+    with pytest.raises(OSError, match=r"No space left.*the checkpoint of iteration 1 is intact"):
         checkpoints.wait()
     monkeypatch.undo()
     assert restore(tmp_path, state)[0] == 1

@@ -1,5 +1,5 @@
 import numpy as np
-from builders import episodes
+from helpers.rollouts import episodes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +22,7 @@ def test_episodes_are_those_of_a_plain_loop_however_the_rows_are_split(seed, len
     for start in range(0, steps, length):
         rows = slice(start, start + length)
         cut = lambda x: x[:, rows]  # noqa: B023
-        ended = tracker.take_in(
+        ended = tracker.update(
             100 + start * envs, cut(valid), cut(done), tuple(map(cut, rewards)), cut(room)
         )
         for i in range(2):

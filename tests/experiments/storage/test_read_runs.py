@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from handmade import made
+from helpers.run_files import made
 
 from experiments.storage.read_runs import find_runs, group_runs, read_run
 

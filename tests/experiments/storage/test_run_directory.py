@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from experiments.config.compose import load_config
-from experiments.config.schema import ConfigError
 from experiments.storage.run_directory import RunDirectory, new_run_path
+from experiments.system.errors import ConfigError
 
 CONFIG = load_config(["env=Venture", "algo=rnd"])
 
@@ -20,7 +20,7 @@ def test_an_empty_or_missing_directory_is_taken_and_given_back_as_it_was(tmp_pat
     for path in (tmp_path / "empty", tmp_path / "new" / "deep"):
         if path.name == "empty":
             path.mkdir()
-        RunDirectory(at(path)).abandon()
+        RunDirectory(at(path)).discard()
     assert [p.name for p in tmp_path.iterdir()] == ["empty"]
     assert not any((tmp_path / "empty").iterdir())
 
@@ -34,9 +34,9 @@ def test_a_directory_with_something_in_it_is_refused_and_left_alone(tmp_path):
 
 def test_a_directory_in_use_is_refused_until_its_process_is_gone(tmp_path):
     code = (
-        "import sys, time; from experiments.config import load\n"
-        "from experiments.directory import Directory\n"
-        f"held = Directory(load(['env=Venture', 'algo=rnd', 'run_dir={tmp_path}']))\n"
+        "import sys, time; from experiments.config.compose import load_config\n"
+        "from experiments.storage.run_directory import RunDirectory\n"
+        f"held = RunDirectory(load_config(['env=Venture', 'algo=rnd', 'run_dir={tmp_path}']))\n"
         "print('held', flush=True); time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
@@ -44,7 +44,7 @@ def test_a_directory_in_use_is_refused_until_its_process_is_gone(tmp_path):
         with pytest.raises(ConfigError, match="in use by another run"):
             RunDirectory(at(tmp_path))
         process.kill()
-    RunDirectory(at(tmp_path)).abandon()
+    RunDirectory(at(tmp_path)).discard()
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path):

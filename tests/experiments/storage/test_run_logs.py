@@ -26,7 +26,7 @@ def filled(path, iterations=3, marked=0):
             line = ENTRY | {"iteration": k, "step": 8 * k, "transitions": 7 * k}
             records.transitions[i] = 7 * k
             records.wall_seconds = line["wall_seconds"] = 2.0 * k
-            records.take_in(i, ended, dict(line))
+            records.log_iteration(i, ended, dict(line))
         records.flush()
         if k == marked:
             manifest = records.manifest()
@@ -35,7 +35,7 @@ def filled(path, iterations=3, marked=0):
 
 def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
     records = filled(tmp_path)
-    line = records.take_in(0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf})
+    line = records.log_iteration(0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf})
     records.flush()
     records.close()
     assert line["loss"] is None
@@ -53,7 +53,7 @@ def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
 def test_a_reward_that_is_not_finite_is_null_in_every_file(tmp_path):
     records = filled(tmp_path)
     worse = Episode(4, 32, 3, math.nan, math.inf, 0.1, 2)
-    line = records.take_in(0, [worse], ENTRY | {"step": 32})
+    line = records.log_iteration(0, [worse], ENTRY | {"step": 32})
     assert (line["ext_return"], line["score"], line["last100_ext_return"]) == (None, None, None)
     records.flush()
     records.summarize(32)
@@ -104,7 +104,7 @@ def test_going_on_from_a_checkpoint_cuts_what_came_after_it_and_counts_what_was_
         for i in range(2):
             line = ENTRY | {"iteration": k, "step": 8 * k, "transitions": 7 * k}
             line["wall_seconds"] = records.wall_seconds = 2.0 * k
-            records.take_in(i, [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)], line)
+            records.log_iteration(i, [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)], line)
     records.flush()
     records.summarize(32)
     for name in ("metrics.jsonl", "episodes.csv", "summary.json"):

@@ -1,20 +1,8 @@
 """Read back with tensorboardX's own records: no other reader is among the requirements."""
 
-import struct
-
-from tensorboardX.proto.event_pb2 import Event
+from helpers.processes import events
 
 from experiments.storage.tensorboard import TensorBoardWriter
-
-
-def events(path):
-    (file,) = path.iterdir()
-    data, at, found = file.read_bytes(), 0, []
-    while at < len(data):
-        (length,) = struct.unpack_from("<Q", data, at)
-        found.append(Event.FromString(data[at + 12 : at + 12 + length]))
-        at += 12 + length + 4
-    return found
 
 
 def line(step, seed=4):

@@ -5,11 +5,12 @@ import os
 import signal
 
 import pytest
-from test_run import CAR, lines, run, start
+from helpers.processes import CAR, lines, run, start
 
 from experiments.config.compose import load_config
-from experiments.config.schema import ConfigError
-from experiments.storage.trackers import TOLD, Tracker
+from experiments.storage.run_directory import TRACKER_STATE
+from experiments.storage.trackers import Tracker
+from experiments.system.errors import ConfigError
 
 MINE = [*CAR, "algo=snd_vic", "algo.minibatch_size=64", "tracker=mlflow", "group=swept"]
 
@@ -59,7 +60,7 @@ def test_wandb_keeps_a_run_for_every_seed_on_this_machine(tmp_path, monkeypatch)
     found = sorted(tmp_path.glob("wandb/offline-run-*/run-*.wandb"))
     assert len(found) == 2
     assert {path.stem[-1] for path in found} == {"0", "1"}
-    told = json.loads((tmp_path / "run" / TOLD).read_text())
+    told = json.loads((tmp_path / "run" / TRACKER_STATE).read_text())
     assert told["told"] == {"0": 2, "1": 2}
 
 
@@ -76,10 +77,10 @@ def test_a_tracker_that_breaks_is_told_no_more_and_nothing_else_happens(tmp_path
     tracker = Tracker(config, tmp_path)
     tracker.service = Broken()
     line = {"iteration": 1, "seed": 0, "step": 4, "entropy": 1.0}
-    tracker.take_in([line])
-    assert "it is down" in tracker.tell(1)
-    tracker.take_in([line])
-    assert tracker.tell(2) == ""
+    tracker.queue_lines([line])
+    assert "it is down" in tracker.send(1)
+    tracker.queue_lines([line])
+    assert tracker.send(2) == ""
     tracker.close(finished=True)
     tracker.broken = False
     tracker.close(finished=True)
@@ -106,12 +107,12 @@ class Kept(list):
 def test_a_line_is_told_once_its_checkpoint_stands(tmp_path):
     tracker = Tracker(load_config(["env=MountainCar", "algo=ppo"]), tmp_path)
     tracker.service = kept = Kept()
-    tracker.take_in([{"iteration": i, "seed": 0, "step": i} for i in (1, 2, 3)])
-    tracker.tell(None)
+    tracker.queue_lines([{"iteration": i, "seed": 0, "step": i} for i in (1, 2, 3)])
+    tracker.send(None)
     assert kept == []
-    tracker.tell(2)
+    tracker.send(2)
     assert kept == [(0, 1), (0, 2)]
-    tracker.tell(3)
+    tracker.send(3)
     assert kept == [(0, 1), (0, 2), (0, 3)]
 
 

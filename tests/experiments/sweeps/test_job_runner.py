@@ -1,4 +1,4 @@
-"""What a cell's run is given of the machine."""
+"""What a job's run is given of the machine."""
 
 import pytest
 

@@ -11,11 +11,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from helpers.processes import ROOT
 
-from experiments.config.schema import ConfigError
-from experiments.sweeps import jobs as cells
+from experiments.sweeps import job_status, jobs
+from experiments.system.errors import ConfigError
 
-ROOT = Path(__file__).parents[2]
 EIGHT = ["env=MountainCar", "algo=ppo,snd_vic", "seed=0,9", "ppo.epochs=1,2"]
 SMALL = ["num_envs=4", "rollout_length=32", "ppo.minibatch_size=64"]
 
@@ -64,19 +64,19 @@ def waits(condition, seconds=120):
 
 
 def survey(directory):
-    """How far its cells are, once it has any."""
+    """How far its jobs are, once it has any."""
     with suppress(ConfigError):
-        return cells.job_statuses(directory)
+        return job_status.job_statuses(directory)
     return []
 
 
 def running(directory):
-    """The processes of the cells that run."""
-    known = cells.read_jobs(directory)
+    """The processes of the jobs that run."""
+    known = jobs.read_jobs(directory)
     return [
-        (last["pid"], cell)
-        for cell, last in known
-        if "pid" in last and cells.is_locked(directory, cell.name)
+        (last["pid"], job)
+        for job, last in known
+        if "pid" in last and job_status.is_locked(directory, job.name)
     ]
 
 
@@ -93,11 +93,11 @@ def test_a_sweep_whose_worker_is_killed_is_completed_by_running_again(launcher, 
             assert "the launcher gave up" in err
             assert process.returncode == 1
         else:  # it begins a task again whose worker died, so all of it is killed
-            waits(lambda: cells.is_locked(directory, victim.name))
+            waits(lambda: job_status.is_locked(directory, victim.name))
             process.kill()
             process.communicate(timeout=60)
     waits(lambda: not running(directory))
-    before = {s.cell.name: s.state for s in survey(directory)}
+    before = {s.job.name: s.state for s in survey(directory)}
     assert set(before.values()) > {"done"}
     done = {name: log(directory, name) for name, state in before.items() if state == "done"}
     out = sweep(directory, *command)
@@ -107,7 +107,7 @@ def test_a_sweep_whose_worker_is_killed_is_completed_by_running_again(launcher, 
     for name, text in done.items():
         assert log(directory, name) == text  # not run again
     for s in survey(directory):
-        steps = [json.loads(line)["step"] for line in log(directory, s.cell.name).splitlines()]
+        steps = [json.loads(line)["step"] for line in log(directory, s.job.name).splitlines()]
         assert steps == [128 * (i + 1) for i in range(63)]
 
 
@@ -124,13 +124,13 @@ def test_a_bad_cell_fails_alone_and_by_name_before_the_others_start(launcher, tm
     command += [f"hydra/launcher={launcher}"]
     out = sweep(directory, *command, "ppo.minibatch_size=64,63", "group=own", status=1)
     bad = "MountainCar/ppo/0,ppo.minibatch_size=63"
-    assert "2 cells: 1 new, 1 that cannot run" in out.partition(f"cannot run: {bad}")[0]
+    assert "2 jobs: 1 new, 1 that cannot run" in out.partition(f"cannot run: {bad}")[0]
     assert "running" not in out.partition(f"cannot run: {bad}")[0]
-    assert {s.cell.name[-2:]: s.state for s in survey(directory)} == {"64": "done", "63": "failed"}
+    assert {s.job.name[-2:]: s.state for s in survey(directory)} == {"64": "done", "63": "failed"}
     status = [sys.executable, "-m", "experiments.sweep", "status", str(directory)]
     shown = subprocess.run(status, capture_output=True, text=True, cwd=ROOT, check=True).stdout
     assert "does not divide the rollout" in shown
-    assert "2 cells: 1 done, 1 failed" in shown
+    assert "2 jobs: 1 done, 1 failed" in shown
     # Without it the sweep is whole.
     assert "1 done already" in sweep(
         directory, *command, "ppo.minibatch_size=choice(64)", "group=own"
@@ -145,7 +145,7 @@ def test_a_sweep_is_extended_and_what_is_of_another_configuration_is_refused(tmp
     assert "cannot run: MountainCar/ppo/3: resume=auto: the run" in out
     assert "has ppo.clip=0.1, not 0.3" in out
     out = sweep(directory, *command, "total_steps=256", "ppo.clip=0.1")
-    assert "1 to go on" in out
+    assert "1 to resume" in out
     assert [s[1:3] for s in survey(directory)] == [("done", 256)]
 
 
@@ -160,8 +160,8 @@ def test_a_run_that_was_finished_by_hand_is_a_cell_that_is_done(tmp_path):
     out = sweep(directory, *mine, "seed=choice(3)")
     assert "1 done already" in out
     assert summary.stat().st_mtime_ns == before  # it was not run again
-    (standing,) = cells.job_statuses(directory)
-    assert standing.state == cells.DONE
+    (standing,) = job_status.job_statuses(directory)
+    assert standing.state == job_status.DONE
 
 
 def test_an_interrupted_sweep_leaves_checkpoints_and_says_how_to_go_on(tmp_path):
@@ -172,15 +172,13 @@ def test_an_interrupted_sweep_leaves_checkpoints_and_says_how_to_go_on(tmp_path)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         out, err = process.communicate(timeout=120)
     assert process.returncode == 130
-    assert "interrupted; the same command goes on" in out
+    assert "interrupted; to resume, give the same command" in out
     assert "Traceback" not in out + err
     states = sorted(s.state for s in survey(directory))
     assert states == ["stopped", "stopped", "waiting"]
     for s in survey(directory):
         if s.state == "stopped":  # to the last step that was logged
-            steps = [
-                int(path.name) for path in (directory / s.cell.name).glob("checkpoints/[0-9]*")
-            ]
+            steps = [int(path.name) for path in (directory / s.job.name).glob("checkpoints/[0-9]*")]
             assert max(steps) * 128 == s.step
 
 
@@ -225,7 +223,7 @@ def test_a_search_maximises_what_its_cells_return(tmp_path):
     found = survey(directory)
     assert len(found) == 2, out
     assert {s.state for s in found} == {"done"}
-    assert all("algo.eta=" in s.cell.name and "learning_rate=" in s.cell.name for s in found)
+    assert all("algo.eta=" in s.job.name and "learning_rate=" in s.job.name for s in found)
     head, *rows = (directory / "report" / "search.csv").read_text().splitlines()
     assert head == "mean_ext_return,algo.eta,algo.learning_rate"
     assert len(rows) == 2

@@ -25,9 +25,9 @@ def test_elsewhere_than_on_a_terminal_there_is_one_plain_line_an_iteration(capsy
 def test_the_display_shows_the_time_gone_against_the_estimate(monkeypatch):
     progress = Progress("title", 100, 0)
     now = progress.since
-    monkeypatch.setattr("experiments.progress.time.monotonic", lambda: now + 23)
+    monkeypatch.setattr("experiments.system.display.time.monotonic", lambda: now + 23)
     progress.phase("learning", 130)
-    monkeypatch.setattr("experiments.progress.time.monotonic", lambda: now + 46)
+    monkeypatch.setattr("experiments.system.display.time.monotonic", lambda: now + 46)
     assert next(iter(progress.render().columns[2].cells)) == "learning 0:23 of about 2:10"
     progress.within(0.5)
     assert next(iter(progress.render().columns[2].cells)) == "learning 0:23 (50%)"

@@ -54,7 +54,7 @@ def test_a_wait_may_end_within_its_grace_and_is_broken_off_after_it():
 def test_before_it_begins_a_signal_ends_the_process(number):
     """Also where an exception would be swallowed."""
     code = (
-        "import os, signal, time\nfrom experiments.interrupts import Interrupts\n"
+        "import os, signal, time\nfrom experiments.system.interrupts import Interrupts\n"
         "class Loud:\n    def __del__(self):\n"
         f"        os.kill(os.getpid(), {int(number)}); time.sleep(1)\n"
         "with Interrupts():\n    Loud(); print('went on')"

@@ -48,17 +48,17 @@ GOOD = {"feature_spread": 0.1, "int_reward_clipped": 0.2, "entropy": 2.0}
 def test_a_bad_sign_is_warned_of_once_and_only_if_it_lasts(name, value, words):
     signs = HealthMonitor(num_actions=18)
     line = lambda **more: GOOD | {"seed": 3} | more
-    said = [signs.take_in(line(**{name: value})) for _ in range(WINDOW - 1)]
+    said = [signs.update(line(**{name: value})) for _ in range(WINDOW - 1)]
     assert not any(said)
-    (warning,) = signs.take_in(line(**{name: value}))
+    (warning,) = signs.update(line(**{name: value}))
     assert words in warning
     assert "seed 3" in warning
     assert "thesis" in warning
-    assert not any(signs.take_in(line(**{name: value})) for _ in range(30))
+    assert not any(signs.update(line(**{name: value})) for _ in range(30))
 
 
 def test_good_figures_and_missing_ones_say_nothing():
     signs = HealthMonitor(num_actions=3)
     for _ in range(30):
-        assert signs.take_in(GOOD | {"seed": 0}) == []
-        assert signs.take_in({"seed": 0, "entropy": 1.0, "feature_spread": None}) == []
+        assert signs.update(GOOD | {"seed": 0}) == []
+        assert signs.update({"seed": 0, "entropy": 1.0, "feature_spread": None}) == []

@@ -6,12 +6,11 @@ import shutil
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.processes import ROOT
 
-ROOT = Path(__file__).parents[2]
 CAR = ["env=MountainCar", "num_envs=8", "rollout_length=64", "ppo.minibatch_size=256"]
 CAR += ["algo.minibatch_size=256", "ppo.epochs=2"]
 PLAIN = ["algo=snd_vic"]

@@ -9,8 +9,8 @@ import pytest
 
 import sndjax
 from experiments.config.compose import load_config
-from experiments.config.schema import ConfigError
 from experiments.environments.pools import make_pool, make_pools
+from experiments.system.errors import ConfigError
 from experiments.training.agents import build_agent, init_states, map_over_seeds
 from experiments.training.rollouts import Collector
 from sndjax.rollout import make_frame_stacker

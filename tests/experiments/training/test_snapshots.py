@@ -1,7 +1,7 @@
 import cv2
 import jax
 import numpy as np
-from test_boards import events
+from helpers.processes import events
 
 import sndjax
 from experiments.storage.tensorboard import TensorBoardWriter
@@ -34,7 +34,9 @@ def test_an_image_of_them_stands_on_the_board(tmp_path):
     frames[2, 1, ..., 2] = 100  # blue
     reward = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 3.0]])
     boards = TensorBoardWriter(tmp_path, [4])
-    boards.look(4, 12, most_novel_image(rollout_of(frames), reward), {"eigenvalue_q50": 2.0})
+    boards.add_snapshot(
+        4, 12, most_novel_image(rollout_of(frames), reward), {"eigenvalue_q50": 2.0}
+    )
     boards.close()
     *_, event = events(tmp_path / "seed_4")
     figure, image = event.summary.value
@@ -55,7 +57,7 @@ def test_the_spread_is_that_of_the_features():
     )
     frames = np.random.default_rng(1).normal(size=(6, 4, 5)).astype(np.float32)
     state = sndjax.init_train_state(agent, jax.random.key(0), jax.numpy.asarray(frames[0]))
-    found = SnapshotWriter(agent).spread(state, rollout_of(frames))
+    found = SnapshotWriter(agent).feature_percentiles(state, rollout_of(frames))
     rows = jax.numpy.asarray(frames[:-1].reshape(20, 5))
     z = np.asarray(module.features(state.intrinsic, state.intrinsic_state, rows), np.float64)
     wanted = np.linalg.eigvalsh(19 * np.cov(z.T))[::-1][:20]

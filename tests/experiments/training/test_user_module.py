@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import pytest
 
-from experiments.config.schema import ConfigError
+from experiments.system.errors import ConfigError
 from experiments.training.user_module import load_module
 from sndjax import VECTOR, IntrinsicModule
 
@@ -9,7 +9,7 @@ GOOD = """
 import sndjax
 
 def mine(num_actions, size):
-    return sndjax.grid("vicreg", "re3", num_actions, size)
+    return sndjax.make_module("vicreg", "re3", num_actions, size)
 """
 
 

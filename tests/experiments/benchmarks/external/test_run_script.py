@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 from experiments.benchmarks.external import stand_ins as stand_ins
-from experiments.benchmarks.external.run_script import FrameShapeRewriter, adapt_script, main
+from experiments.benchmarks.external.run_script import FrameShapeRewriter, adapt_script
 from experiments.benchmarks.external.stand_ins import EpisodeCountingEnv
 from experiments.config.compose import load_config
-from experiments.config.schema import ConfigError
 from experiments.environments.pools import EnvStep, make_pool
-from experiments.reporting.seed_table import main as explores
+from experiments.external import main
+from experiments.seed_table import main as explores
 from experiments.system.display import ProgressBars
+from experiments.system.errors import ConfigError
 
 # Not anybody's: it asks for what CleanRL's script asks for, and swings the car with its velocity,
 # which reaches the goal in every episode.

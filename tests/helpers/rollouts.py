@@ -20,7 +20,7 @@ class Kind(NamedTuple):
 TOY = {
     "channels": (8, 8, 8),
     "last": 8,
-    "last_learned": 8,
+    "last_predictor": 8,
     "rnd_channels": (8, 8, 8),
     "features": 16,
 }
@@ -78,3 +78,11 @@ def experience(kind, rng, steps=8, envs=4, stack=1, heads=2):
         -jnp.abs(normal(*rows)) - 1,
         normal(steps + 1, envs, heads),
     )
+
+
+def no_encode(frames, action=None):
+    """Stand for the encoder where a loss does not use it."""
+    raise AssertionError("this loss encodes no further frames")
+
+
+NO_ROLLOUT = Rollout(*5 * [None])  # where a loss does not read it

@@ -1,0 +1,98 @@
+"""Measure how the code is documented: python tests/measure_style.py
+
+Counts, of the library and of the laboratory: public functions of three parameters or more without an
+`Args:` section, docstrings that open with a noun or a clause, parameters of inner functions without
+a type, modules above 300 lines, functions above 60 lines (docstrings not counted). What each count
+finds is printed with --list.
+"""
+
+import ast
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+OPENINGS = {
+    "the", "a", "an", "what", "whether", "how", "where", "those", "that", "of", "from", "as", "one",
+    "all", "every", "each", "who", "when", "which", "this", "it", "so", "in", "on", "no",
+}  # fmt: skip
+MODULE_LINES, FUNCTION_LINES = 300, 60
+
+
+def own_parameters(node):
+    """The parameters of a function, self and cls not counted."""
+    given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return [arg for arg in given if arg.arg not in ("self", "cls")]
+
+
+def is_property(node):
+    """Whether a function is read as an attribute, so that a noun describes it."""
+    return any(isinstance(d, ast.Name) and d.id == "property" for d in node.decorator_list)
+
+
+def body_lines(node):
+    """The lines of a function without its docstring."""
+    first = node.body[0]
+    documented = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
+    skipped = first.end_lineno - first.lineno + 1 if documented else 0
+    return node.end_lineno - node.lineno + 1 - skipped
+
+
+def measure(folder):
+    """What is found in a folder: name of the measure -> (places, how many were looked at)."""
+    found = {
+        "no_args": [], "no_verb": [], "inner_untyped": [], "long_modules": [], "long_functions": [],
+    }  # fmt: skip
+    counts = dict.fromkeys(found, 0)
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        text = path.read_text()
+        tree = ast.parse(text)
+        lines = len(text.splitlines())
+        counts["long_modules"] += 1
+        if lines > MODULE_LINES:
+            found["long_modules"].append(f"{path.relative_to(ROOT)}: {lines}")
+        inner = {
+            child
+            for outer in ast.walk(tree)
+            if isinstance(outer, ast.FunctionDef)
+            for child in ast.walk(outer)
+            if isinstance(child, ast.FunctionDef) and child is not outer
+        }
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            place = f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
+            doc, parameters = ast.get_docstring(node), own_parameters(node)
+            counts["long_functions"] += 1
+            if body_lines(node) > FUNCTION_LINES:
+                found["long_functions"].append(f"{place}: {body_lines(node)}")
+            if node in inner:
+                counts["inner_untyped"] += len(parameters)
+                found["inner_untyped"] += [
+                    f"{place}({arg.arg})" for arg in parameters if arg.annotation is None
+                ]
+            if doc is None:
+                continue
+            public = not node.name.startswith("_") and node not in inner
+            if public and len(parameters) >= 3:
+                counts["no_args"] += 1
+                if "Args:" not in doc:
+                    found["no_args"].append(place)
+            if not is_property(node):
+                counts["no_verb"] += 1
+                if doc.split()[0].strip("`(").lower() in OPENINGS:
+                    found["no_verb"].append(place)
+    return {name: (found[name], counts[name]) for name in found}
+
+
+def main():
+    """Print the table."""
+    for folder in ("sndjax", "experiments"):
+        print(folder)
+        for name, (places, count) in measure(folder).items():
+            print(f"  {name:<16}{len(places):>5} of {count}")
+            if "--list" in sys.argv:
+                print("".join(f"    {place}\n" for place in places), end="")
+
+
+if __name__ == "__main__":
+    main()
