@@ -1,17 +1,19 @@
-# make demo   train PPO and SND-VIC on MountainCar and draw both learning curves
-# make test   the test suite
-# make test-all  every cell of the grid on every kind of input too (an hour)
+# make quick   style, types, imports, the losses against their oracles, one short run: after every change, two minutes
+# make demo    train PPO and SND-VIC on MountainCar, and draw both learning curves
+# make test    the test suite
+# make test-all       every cell of the grid on every kind of input too (an hour)
 # make test-survival  fifty kills, thousands of bad inputs, half an hour of load (an hour)
-# make bench  the benchmark of six algorithms against the committed figures (a quarter of an hour)
-# make gpu-evidence  the thesis' hard games on a GPU for MINUTES minutes (60); again, and it goes on
-# make check  formatter, linter and type checker
+# make bench   the benchmark of six algorithms against the committed figures (a quarter of an hour)
+# make gpu-evidence   the thesis' hard games on a GPU for MINUTES minutes (60); called again, it resumes
+# make check   formatter, linter and type checker
+# make style   how the code is documented, in numbers
+# make .venv          the environment; PYTHON=python3.12 picks another Python
 # make .venv/.sweeps  launchers for clusters, and trackers, which the tests use too
-# make .venv  the environment alone; PYTHON=python3.12 picks another Python
 PYTHON ?= python3
 MINUTES ?= 60
 RUN := .venv/bin/python
 
-.PHONY: .venv demo test test-all test-survival bench gpu-evidence check format
+.PHONY: .venv quick style demo test test-all test-survival bench gpu-evidence check format
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
@@ -21,8 +23,19 @@ RUN := .venv/bin/python
 .venv/.sweeps: .venv/.complete requirements-sweeps.txt
 	@$(PYTHON) bootstrap.py sweeps
 
+QUICK := tests/objectives tests/signals tests/test_returns.py tests/test_ppo.py tests/test_statistics.py \
+	tests/test_scaling.py tests/test_hashing.py tests/test_style.py tests/experiments/test_imports.py
+
+quick: check
+	@$(RUN) -m pytest -q -n 2 --dist worksteal $(QUICK)
+	@rm -rf build/quick
+	@$(RUN) -m experiments.cli env=MountainCar algo=snd_vic total_steps=16_384 run_dir=build/quick
+
+style: .venv/.complete
+	@$(RUN) tests/measure_style.py
+
 demo: .venv/.complete
-	@$(RUN) -m experiments.demo
+	@$(RUN) -m experiments.cli demo
 
 test: .venv/.sweeps
 	@$(RUN) -m pytest -n 2 --dist worksteal
@@ -34,10 +47,10 @@ test-survival: .venv/.sweeps
 	@$(RUN) -m pytest -m survival -s
 
 bench: .venv/.complete
-	@$(RUN) -m experiments.benches
+	@$(RUN) -m experiments.cli bench_suite
 
 gpu-evidence: .venv/.complete
-	@$(RUN) -m experiments.evidence --minutes $(MINUTES)
+	@$(RUN) -m experiments.cli gpu_suite --minutes $(MINUTES)
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

@@ -69,18 +69,17 @@ def split_command(arguments: list[str]) -> tuple[str, list[str]]:
     >>> split_command(["chance", "env=Venture"])
     ('random_agent', ['env=Venture'])
     """
-    first = arguments[0] if arguments else "run"
-    if first.startswith("-") or "=" in first or not arguments:
+    if arguments[0].startswith("-") or "=" in arguments[0]:
         return "run", arguments
-    name = first.replace("-", "_")
+    name = arguments[0].replace("-", "_")
     return ALIASES.get(name, name), arguments[1:]
 
 
 def main(arguments: list[str]) -> int:
     """Run the command that the arguments name, and return its exit status."""
-    if arguments and arguments[0] in ("-h", "--help", "help"):
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(help_text())
-        return 0
+        return 0 if arguments else 2
     name, rest = split_command(arguments)
     if name not in COMMANDS:
         from .config.validation import unknown_name_error

@@ -8,14 +8,17 @@ its own.
 from pathlib import Path
 
 from .config.tool_options import asks_for_help, exit_status
+from .system.errors import print_error
 from .system.process import run_script
 
 
 def main(arguments: list[str]) -> int:
     """Run the command, and return its exit status."""
-    if len(arguments) != 2 or arguments[0] != "status":
+    if asks_for_help(arguments) or not arguments:
         print(str(__doc__).strip())
-        return 0 if asks_for_help(arguments) else 2
+        return 0 if arguments else 2
+    if len(arguments) != 2 or arguments[0] != "status":
+        return print_error(f"'{' '.join(arguments)}': write sndjax sweep status DIR")
 
     def status() -> None:
         from .sweeps.job_status import job_statuses

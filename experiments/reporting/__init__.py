@@ -1,5 +1,5 @@
-"""What is made of finished runs: curves, tables, statistics over seeds, one self-contained page.
+"""Reports of runs: curves, tables, statistics over seeds, one self-contained HTML page.
 
-Reads run directories and writes pictures, CSV files and pages. Imports no jax: it knows nothing of
-agents or training.
+Reads run directories and writes pictures, CSV files and pages. Imports no jax, and must not depend
+on agents or training.
 """

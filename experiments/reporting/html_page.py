@@ -1,4 +1,4 @@
-"""A page of pictures and tables: one HTML file with everything in it, for `file://` and phones."""
+"""Self-contained HTML pages of pictures and tables, for `file://` and phones."""
 
 import base64
 import csv
@@ -14,7 +14,7 @@ from ..storage.run_directory import write_atomically
 
 @dataclass
 class Table:
-    """A head and its rows; cells are text. With a name it is written as a CSV file too."""
+    """A table: a header and rows of text. A table with a name is also written as a CSV file."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[Any]]
@@ -24,7 +24,7 @@ class Table:
 
 @dataclass
 class Section:
-    """A title with text, pictures (a PNG and its caption) and tables."""
+    """A section of a page: a title, text, pictures (a PNG and its caption) and tables."""
 
     title: str
     text: str = ""
@@ -33,12 +33,18 @@ class Section:
 
 
 def inline_png(picture: Path) -> str:
-    """A PNG as part of a page."""
+    """Return a PNG file as a data URL, to be embedded in a page."""
     return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode()
 
 
 def write_csv(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Write a table as a CSV file."""
+    """Write a table as a CSV file.
+
+    Args:
+      path: of the CSV file; missing directories are created.
+      head: the header, one name for each column.
+      rows: the cells of each row.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", errors="replace") as file:
         csv.writer(file, lineterminator="\n").writerows([head, *rows])
@@ -47,13 +53,14 @@ def write_csv(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) ->
 def write_page(
     path: Path, title: str, lead: str, sections: list[Section], refresh: int = 0
 ) -> None:
-    """Write a page, and the CSV file of each table that has a name beside it.
+    """Write a page, and beside it a CSV file for each table that has a name.
 
     Args:
       path: of the HTML file.
-      title, lead: what stands at its head.
-      sections: what follows.
-      refresh: seconds after which a browser loads it again; 0: never.
+      title: the title at the top of the page.
+      lead: the text below the title.
+      sections: the sections, in order.
+      refresh: seconds after which a browser reloads the page; 0: never.
     """
     loader = Environment(
         loader=FileSystemLoader(Path(__file__).parents[1] / "templates"),

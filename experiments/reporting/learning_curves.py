@@ -15,14 +15,20 @@ Curve = tuple[np.ndarray, np.ndarray]
 
 
 class Quantity(NamedTuple):
-    """Something that has a curve: what its axis says, and a seed's steps and values."""
+    """A quantity to plot: its axis label, and a function that returns a seed's curve.
+
+    The curve is (steps, values), or None if the seed has no such quantity.
+    """
 
     axis: str
     of: Callable[[SeedData], Curve | None]
 
 
 def over_episodes(column: str) -> Callable[[SeedData], Curve | None]:
-    """A column of episodes.csv as the thesis smooths it."""
+    """Return a function from a seed to the curve of a column of episodes.csv.
+
+    The values are smoothed as in the thesis (`exponential_smoothing`).
+    """
 
     def of(seed: SeedData) -> Curve | None:
         values = seed.episodes[column]
@@ -32,7 +38,10 @@ def over_episodes(column: str) -> Callable[[SeedData], Curve | None]:
 
 
 def over_iterations(figure: str) -> Callable[[SeedData], Curve | None]:
-    """A figure of metrics.jsonl, where it is one."""
+    """Return a function from a seed to the curve of a metric of metrics.jsonl.
+
+    The curve has only finite values, and is None if there are none.
+    """
 
     def of(seed: SeedData) -> Curve | None:
         values = seed.metrics.get(figure)
@@ -45,13 +54,13 @@ def over_iterations(figure: str) -> Callable[[SeedData], Curve | None]:
 
 
 def intrinsic_curve(seed: SeedData) -> Curve | None:
-    """The intrinsic reward, of which the baseline has none."""
+    """Return the curve of the intrinsic reward; None for the baseline, which has none."""
     curve = over_iterations("int_reward_mean")(seed)
     return curve if curve is not None and curve[1].any() else None
 
 
 def rooms_curve(seed: SeedData) -> Curve | None:
-    """The most rooms that one episode has gone through."""
+    """Return the curve of the most rooms visited in one episode so far; None without rooms."""
     rooms = seed.episodes.get("rooms")
     if rooms is None or not len(rooms):
         return None
@@ -72,10 +81,20 @@ QUANTITIES = {
 def draw_curves(
     groups: list[RunGroup], quantity: str, title: str, out: Path, name: str
 ) -> Path | None:
-    """Draw a quantity of every group that has it, thin lines being seeds.
+    """Draw the curves of a quantity, one for each group of runs that has the quantity.
+
+    The line is the mean over seeds and the band its 95% bootstrap interval. Thin lines are single
+    seeds, if there are at most 10. The curves are also written as a CSV file.
+
+    Args:
+      groups: the groups of runs.
+      quantity: a key of `QUANTITIES`.
+      title: of the picture.
+      out: the directory of the files.
+      name: of the files, without suffix.
 
     Returns:
-      The PNG, an SVG beside it; None where no group has this quantity.
+      The path of the PNG, with an SVG beside it; None if no group has this quantity.
     """
     axis, of = QUANTITIES[quantity]
     figure, ((axes,),) = make_panels(1, 1)

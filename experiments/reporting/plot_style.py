@@ -1,4 +1,4 @@
-"""How every picture looks; an algorithm has one colour everywhere."""
+"""The style of all pictures: an algorithm has the same color and label everywhere."""
 
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,8 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-# Okabe and Ito's palette, its yellow darkened to be seen on white. A second algorithm of the
-# same colour is dashed.
+# The palette of Okabe and Ito, with a darker yellow that is visible on white. A second algorithm
+# of the same color is dashed.
 STYLES: dict[str, dict[str, Any]] = {
     "ppo": {"color": "#000000"},
     "rnd": {"color": "#E69F00"},
@@ -41,14 +41,17 @@ LABELS = {
 
 
 def line_style(algo: str) -> dict[str, Any]:
-    """The line of an algorithm; one of the reader's own gets a dotted one from its name."""
+    """Return the line style of an algorithm: matplotlib's `color` and `linestyle`.
+
+    An algorithm that is not in `STYLES` gets a dotted line, in a color chosen by its name.
+    """
     if algo in STYLES:
         return {"linestyle": "-"} | STYLES[algo]
     return {"color": OTHERS[sum(map(ord, algo)) % len(OTHERS)], "linestyle": ":"}
 
 
 def display_name(algo: str) -> str:
-    """What the thesis calls it.
+    """Return the name of an algorithm as the thesis writes it.
 
     >>> display_name("snd_vic"), display_name("my_bonus")
     ('SND-VIC', 'my_bonus')
@@ -59,7 +62,7 @@ def display_name(algo: str) -> str:
 
 
 def display_title(algo: str, name: str) -> str:
-    """A group's name with its algorithm's label.
+    """Return the name of a group of runs, with the display name of its algorithm.
 
     >>> display_title("rnd", "rnd (eta=2)")
     'RND (eta=2)'
@@ -70,7 +73,18 @@ def display_title(algo: str, name: str) -> str:
 def make_panels(
     rows: int, columns: int, width: float = 7.2, height: float = 4.2, **options: Any
 ) -> tuple[Figure, Any]:
-    """A figure with a grid of axes, [rows, columns], nothing at their top and right."""
+    """Make a figure with a grid of axes that have no top and right border.
+
+    Args:
+      rows: number of rows of axes.
+      columns: number of columns of axes.
+      width: of the figure, inches.
+      height: of the figure, inches.
+      **options: passed to `plt.subplots`.
+
+    Returns:
+      The figure, and its axes [rows, columns].
+    """
     figure, axes = plt.subplots(
         rows, columns, figsize=(width, height), layout="constrained", squeeze=False, **options
     )
@@ -80,14 +94,24 @@ def make_panels(
 
 
 def label_steps_axis(axes: Any) -> None:
-    """Steps on the horizontal axis, in millions."""
+    """Label the horizontal axis with agent steps, in millions."""
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x / 1e6:g}"))
     axes.set_xlabel("agent steps per seed, millions")
     axes.set_xlim(left=0)
 
 
 def save_figure(figure: Figure, out: Path, name: str, vector: bool = True) -> Path:
-    """Write PNG and, unless told otherwise, SVG; the path of the PNG."""
+    """Write a figure as PNG and SVG, and close the figure.
+
+    Args:
+      figure: the figure.
+      out: the directory of the files; it is created if missing.
+      name: of the files, without suffix.
+      vector: whether to write the SVG.
+
+    Returns:
+      The path of the PNG.
+    """
     out.mkdir(parents=True, exist_ok=True)
     if vector:
         figure.savefig(out / f"{name}.svg")

@@ -1,4 +1,4 @@
-"""One page of any runs: learning curves, the thesis' tables, statistics over seeds."""
+"""The report page of any runs: learning curves, tables of the thesis, statistics over seeds."""
 
 import time
 from pathlib import Path
@@ -11,7 +11,7 @@ from .html_page import Section, Table, write_page
 from .learning_curves import QUANTITIES, draw_curves
 from .thesis_tables import TABLES, improvement_table, seeds_table, thesis_table
 
-REFRESH_SECONDS = 30  # between two versions of a live page
+REFRESH_SECONDS = 30  # between two reloads of a live page
 BESIDE_THE_THESIS = (
     "Ours is over the runs given, of as many seeds and steps as stand beside it; the thesis' after "
     "128 million steps (Atari) or 64 million (Procgen). ± is the standard deviation over runs. "
@@ -20,12 +20,12 @@ BESIDE_THE_THESIS = (
 
 
 def environment_section(env: str, groups: list[RunGroup], out: Path) -> Section:
-    """Draw the curves of one environment.
+    """Draw the curves of one environment, and return them as a section.
 
     Args:
-      env: its name.
-      groups: the runs on it.
-      out: where the pictures go.
+      env: the name of the environment.
+      groups: the groups of runs in this environment.
+      out: the directory of the pictures.
     """
     seeds = [seed for group in groups for seed in group.seeds]
     scored = any((seed.episodes["score"] != seed.episodes["ext_return"]).any() for seed in seeds)
@@ -39,7 +39,7 @@ def environment_section(env: str, groups: list[RunGroup], out: Path) -> Section:
 
 
 def runs_section(runs: list[RunData]) -> Section:
-    """Make the table of the runs that were read."""
+    """Make the section with the table of the runs that were read."""
     head = ["run", "environment", "algorithm", "seeds", "steps per seed", "finished"]
     rows = []
     for run in runs:
@@ -56,9 +56,9 @@ def report_sections(
     """Make the sections of the page.
 
     Args:
-      runs: what could be read.
-      left_out: what could not, with the reason.
-      out: where the pictures go.
+      runs: the runs that could be read.
+      left_out: the directories that could not be read, each with the reason.
+      out: the directory of the pictures.
     """
     groups = group_runs(runs)
     envs = list(dict.fromkeys(group.env for group in groups))
@@ -78,15 +78,15 @@ def report_sections(
 
 
 def write_report(paths: list[Path], out: Path, live: bool = False) -> None:
-    """Write the page of all runs in these directories as of now.
+    """Write the report page of all runs in these directories, in their current state.
 
     Args:
-      paths: directories with runs in or below them.
-      out: where the page goes, `index.html`, with its pictures and tables beside it.
-      live: let a browser load the page again every half minute.
+      paths: directories that are runs or contain runs at any depth.
+      out: the directory of the page `index.html` and of its pictures and tables.
+      live: whether a browser reloads the page every `REFRESH_SECONDS`.
 
     Raises:
-      ConfigError: there is nothing to report.
+      ConfigError: no run could be read.
     """
     runs, left_out = find_runs(paths)
     for path, reason in left_out:

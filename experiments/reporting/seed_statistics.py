@@ -1,4 +1,4 @@
-"""Statistics over seeds: SciPy's, in the shapes that the reports need."""
+"""Statistics over seeds, computed with SciPy, in the shapes that the reports need."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,14 @@ RESAMPLES = 2000
 def bootstrap_interval(
     values: np.ndarray, statistic=np.mean
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The 95% percentile bootstrap interval over the first axis; None of a single seed.
+    """Return the 95% percentile bootstrap interval of a statistic over seeds.
 
     Args:
-      values: [S] or [S, P].
-      statistic: of an array along an axis.
+      values: [S] or [S, P]; the first axis is resampled.
+      statistic: a function of an array and its `axis`, by default the mean.
+
+    Returns:
+      The lower and the upper ends, scalars or [P]; None for a single seed.
 
     >>> low, high = bootstrap_interval(np.array([1.0, 2.0, 3.0]))
     >>> float(low), float(high)
@@ -36,7 +39,7 @@ def bootstrap_interval(
 
 
 def interquartile_mean(values: np.ndarray, axis: int = 0) -> np.ndarray:
-    """The mean of the middle half (Agarwal et al., 2021).
+    """Return the interquartile mean: the mean of the middle half (Agarwal et al., 2021).
 
     >>> float(interquartile_mean(np.array([0.0, 1.0, 2.0, 100.0])))
     1.5
@@ -45,22 +48,31 @@ def interquartile_mean(values: np.ndarray, axis: int = 0) -> np.ndarray:
 
 
 def probability_of_improvement(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """P(X > Y) + P(X = Y) / 2 of a run of each: the Mann-Whitney statistic.
+    """Return P(X > Y) + P(X = Y) / 2 for a run X of `ours` and a run Y of `theirs`.
+
+    This is the Mann-Whitney statistic divided by the number of pairs of runs.
 
     >>> probability_of_improvement(np.array([1.0, 2.0]), np.array([1.0, 1.0]))
     0.75
     """
     if np.ptp(np.concatenate([ours, theirs])) == 0:
-        return 0.5  # SciPy warns of what has no order
+        return 0.5  # SciPy warns if all values are equal
     return float(stats.mannwhitneyu(ours, theirs).statistic / (len(ours) * len(theirs)))
 
 
 def mean_improvement(
     pairs: Sequence[tuple[np.ndarray, np.ndarray]],
 ) -> tuple[float, tuple[float, float] | None]:
-    """The mean of `probability_of_improvement` over tasks, and its 95% bootstrap interval over runs.
+    """Return the mean probability of improvement over tasks, with its 95% bootstrap interval.
 
-    Runs are drawn anew within each task and algorithm; None where one of them has a single run.
+    The bootstrap resamples the runs within each task and algorithm.
+
+    Args:
+      pairs: for each task, the results of our runs and of their runs.
+
+    Returns:
+      The mean of `probability_of_improvement`, and its interval; None in place of the interval if
+      an algorithm has only one run of a task.
 
     >>> mean_improvement([(np.array([2.0, 3.0]), np.array([0.0, 1.0]))])
     (1.0, (1.0, 1.0))
@@ -87,7 +99,7 @@ def mean_improvement(
 
 
 def exponential_smoothing(values: np.ndarray, weight: float = 0.99) -> np.ndarray:
-    """The thesis' smoothing: y_k = weight * y_k-1 + (1 - weight) * x_k from y_0 = x_0.
+    """Smooth values as in the thesis: y_k = weight * y_k-1 + (1 - weight) * x_k, with y_0 = x_0.
 
     >>> exponential_smoothing(np.array([1.0, 2.0, 0.0]), 0.5).tolist()
     [1.0, 1.5, 0.75]
@@ -102,12 +114,16 @@ def exponential_smoothing(values: np.ndarray, weight: float = 0.99) -> np.ndarra
 def resample_curves(
     curves: Sequence[tuple[np.ndarray, np.ndarray]], points: int = 200
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Curves of steps and values on one grid, each held until its next step.
+    """Resample curves on a common grid of steps; a value holds until the next step of its curve.
 
-    The grid goes from where all have begun to where the first ends.
+    The grid extends from the latest first step to the earliest last step of the curves.
+
+    Args:
+      curves: steps and values of each curve.
+      points: P, of the grid.
 
     Returns:
-      Steps [P] and values [S, P].
+      The steps of the grid [P] and the values [S, P].
 
     >>> steps, values = resample_curves([([0, 10], [1, 2]), ([0, 5], [3, 4])], 3)
     >>> steps.tolist(), values.tolist()

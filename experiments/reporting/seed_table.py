@@ -1,4 +1,4 @@
-"""The table of a sweep: every seed's last return, their mean with its interval, and a picture."""
+"""The table of a sweep: the last return of every seed, the mean with its interval, a picture."""
 
 import json
 from math import isfinite, nan
@@ -17,9 +17,9 @@ from ..system.files import write_atomically
 from .plot_style import line_style, make_panels, save_figure
 from .seed_statistics import bootstrap_interval
 
-WIDE = 44  # characters of a row's name beside its dots
+WIDE = 44  # characters in a line of a row's label in the picture
 CELL = ("algo.objective=", "algo.signal=")
-Summaries = dict[str, dict[str, Any]]  # a seed's part of summary.json, by the name of its run
+Summaries = dict[str, dict[str, Any]]  # row_name(...) -> the seed's entry of summary.json
 
 
 class Row(NamedTuple):
@@ -30,13 +30,16 @@ class Row(NamedTuple):
     seeds: dict[int, dict[str, Any]]
 
     def last(self) -> list[float]:
-        """In order of the seeds, the return of the last 100 episodes; NaN where none ended."""
+        """Return the return of the last 100 episodes of each seed, sorted by seed.
+
+        NaN for a seed in which no episode has ended.
+        """
         found = [self.seeds[seed]["last100_ext_return"] for seed in sorted(self.seeds)]
         return [nan if value is None else value for value in found]
 
 
 def mean_with_interval(values: list[float]) -> str:
-    """Their mean and the 95% bootstrap interval of it; of those that are there.
+    """Format the mean of the finite values with its 95% bootstrap interval.
 
     >>> mean_with_interval([1.0, 1.0, nan]), mean_with_interval([0.5]), mean_with_interval([nan])
     ('1.00 [1.00, 1.00]', '0.50', '-')
@@ -49,10 +52,10 @@ def mean_with_interval(values: list[float]) -> str:
 
 
 def read_summaries(path: Path) -> Any:
-    """What a file of JSON holds.
+    """Read a JSON file of summaries.
 
     Raises:
-      ConfigError: it holds none.
+      ConfigError: the file holds no JSON.
     """
     try:
         return json.loads(path.read_text())
@@ -61,7 +64,17 @@ def read_summaries(path: Path) -> Any:
 
 
 def load_summaries(places: list[Path]) -> tuple[Summaries, list[str]]:
-    """The summaries of all finished runs, and the names of those that are not."""
+    """Load the summaries of all finished runs.
+
+    Args:
+      places: JSON files of summaries, or directories that contain runs at any depth.
+
+    Returns:
+      The summaries, and the directories of the runs that are not finished.
+
+    Raises:
+      ConfigError: two runs have the same name, or a file holds no JSON or no configuration.
+    """
     found: Summaries = {}
     unfinished = []
 
@@ -86,9 +99,14 @@ def load_summaries(places: list[Path]) -> tuple[Summaries, list[str]]:
 
 
 def row_name(config: Config, directory: str, seed: int) -> str:
-    """<env>/<algo>/<seed>, and after it what else a sweep gave several values.
+    """Return the name of a seed's row: <env>/<algo>/<seed>, then the other swept options.
 
-    A cell of the grid is called by its objective and its signal, "vicreg+noveld".
+    A cell of the grid is named by its objective and its signal, "vicreg+noveld".
+
+    Args:
+      config: of the run.
+      directory: the name of the run directory, which lists the swept options.
+      seed: the seed.
     """
     algo = config.algo
     name = algo.name if algo.name != "grid" else f"{algo.objective}+{algo.signal}"
@@ -97,7 +115,7 @@ def row_name(config: Config, directory: str, seed: int) -> str:
 
 
 def table_rows(summaries: Summaries) -> list[Row]:
-    """Seeds of the same settings together, in order of their names."""
+    """Group the seeds of the same settings into rows, in the order of the summaries."""
     found: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
     for name, summary in summaries.items():
         env, algo, last = name.rsplit("/", 2)
@@ -108,7 +126,11 @@ def table_rows(summaries: Summaries) -> list[Row]:
 
 
 def markdown_table(summaries: Summaries, goal: float) -> list[str]:
-    """The lines of the Markdown table.
+    """Return the lines of the Markdown table.
+
+    Args:
+      summaries: of all finished runs.
+      goal: the return that a seed must reach to be counted.
 
     >>> run = {"seed": 0, "last100_ext_return": 1.0, "mean_ext_return": 0.5, "wall_seconds": 9.4}
     >>> print("\\n".join(markdown_table({"Car/rnd/0": run}, 0.9)))
@@ -140,9 +162,14 @@ def markdown_table(summaries: Summaries, goal: float) -> list[str]:
 
 
 def draw_seeds(summaries: Summaries, goal: float, path: Path) -> None:
-    """A dot for every seed, a bar for their mean and a line for its 95% bootstrap interval.
+    """Draw a dot for every seed, a bar for the mean, and a line for its 95% bootstrap interval.
 
-    Every environment has a panel of its own.
+    Every environment has a separate panel.
+
+    Args:
+      summaries: of all finished runs.
+      goal: the return at which a vertical line is drawn.
+      path: of the PNG, without suffix.
     """
     found = table_rows(summaries)
     envs = list(dict.fromkeys(row.env for row in found))
@@ -170,6 +197,6 @@ def draw_seeds(summaries: Summaries, goal: float, path: Path) -> None:
 
 
 def write_summaries(summaries: Summaries, path: Path) -> None:
-    """One run a line, so that a new one is one line of difference."""
+    """Write the summaries as JSON, one line for each run, so that diffs are short."""
     lines = [f" {json.dumps(name)}: {json.dumps(run)}" for name, run in summaries.items()]
     write_atomically(path, "{\n" + ",\n".join(lines) + "\n}\n")

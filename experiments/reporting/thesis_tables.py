@@ -1,4 +1,4 @@
-"""The thesis' tables with our numbers beside its own, and what SciPy says of the seeds."""
+"""The tables of the thesis with our numbers beside them, and tables of statistics over seeds."""
 
 import csv
 from pathlib import Path
@@ -20,14 +20,14 @@ TABLES = {
 
 
 class Published(NamedTuple):
-    """A number of the thesis; the deviation is over its runs, NaN where it gives none."""
+    """A number of the thesis; `std` is over the runs of the thesis, NaN if it gives none."""
 
     value: float
     std: float
 
 
 def thesis_numbers(table: str) -> dict[tuple[str, str, str], Published]:
-    """The numbers of one table by environment, algorithm and quantity.
+    """Return the numbers of one table, by environment, algorithm and quantity.
 
     >>> thesis_numbers("5.6")["Climber", "snd_vic", "mean_episode_reward"]
     Published(value=6.62, std=3.24)
@@ -43,19 +43,21 @@ def thesis_numbers(table: str) -> dict[tuple[str, str, str], Published]:
 
 
 def mean_return(seed: SeedData) -> float:
-    """The mean external return of all training episodes; NaN before the first ends."""
+    """Return the mean external return of all training episodes; NaN if none has ended."""
     returns = seed.episodes["ext_return"]
     return float(returns.mean()) if len(returns) else float("nan")
 
 
 def best_score(seed: SeedData) -> float:
-    """The best episode's game score; NaN before the first ends."""
+    """Return the game score of the best episode; NaN if none has ended."""
     scores = seed.episodes["score"]
     return float(scores.max()) if len(scores) else float("nan")
 
 
 def mean_and_std(values: list[float]) -> str:
-    """Mean and population deviation of what is there, or nothing.
+    """Format the mean and the population standard deviation of the finite values.
+
+    The text is empty if there are none.
 
     >>> mean_and_std([1.0, 3.0]), mean_and_std([float("nan")])
     ('2.00 ± 1.00', '')
@@ -65,19 +67,19 @@ def mean_and_std(values: list[float]) -> str:
 
 
 def format_steps(group: RunGroup) -> str:
-    """The steps of its seeds, from the fewest to the most, in millions."""
+    """Format the steps of a group's seeds, in millions: the smallest and the largest number."""
     least, most = (f"{steps / 1e6:.3g}" for steps in group.steps)
     return least if least == most else f"{least} to {most}"
 
 
 def format_published(number: Published) -> str:
-    """A number of the thesis as it prints it."""
+    """Format a number as the thesis prints it."""
     deviation = "" if np.isnan(number.std) else f" ± {number.std:.10g}"
     return f"{number.value:.10g}{deviation}"
 
 
 def thesis_table(table: str, groups: list[RunGroup]) -> Table:
-    """One of `TABLES`: every number of the thesis, and ours where there is one."""
+    """Make one of `TABLES`: every number of the thesis, and ours if such runs exist."""
     of = best_score if table == "5.7" else mean_return
     rows = []
     known = thesis_numbers(table)
@@ -95,7 +97,11 @@ def thesis_table(table: str, groups: list[RunGroup]) -> Table:
 
 
 def seeds_table(groups: list[RunGroup]) -> Table:
-    """Every group's interquartile mean over seeds, with its interval, and its last episodes."""
+    """Make the table of each group's statistics over seeds.
+
+    They are the interquartile mean with its 95% interval, and the mean and standard deviation over
+    seeds of the last 100 episodes.
+    """
     rows = []
     for group in groups:
         found = np.array([mean_return(seed) for seed in group.seeds])
@@ -122,9 +128,9 @@ def seeds_table(groups: list[RunGroup]) -> Table:
 
 
 def improvement_table(groups: list[RunGroup]) -> Table:
-    """The probability that a run of the row's algorithm beats one of the column's.
+    """Make the table of the probability that a run of the row beats a run of the column.
 
-    Mean over the environments that both have; empty where there is none.
+    A cell is the mean over the environments that both groups have, and is empty if there is none.
     """
     returns: dict[str, dict[str, np.ndarray]] = {}
     for group in groups:

@@ -1,7 +1,9 @@
 """A bonus of the user's own: the function in a Python file that the command line names."""
 
 import importlib.util
+import os
 import sys
+from pathlib import Path
 from typing import Any
 
 from sndjax import Architecture, IntrinsicModule
@@ -22,6 +24,9 @@ def load_module(reference: str, num_actions: int, size: Architecture) -> Intrins
     spec = importlib.util.spec_from_file_location("sndjax_user_module", path)
     assert spec is not None
     assert spec.loader is not None
+    # What the file imports from beside it, or from where the command was given, is found last.
+    folders = (str(Path(path).resolve().parent), os.getcwd())
+    sys.path += [folder for folder in folders if folder not in sys.path]
     loaded: Any = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = loaded  # dataclasses look their module up there
     try:

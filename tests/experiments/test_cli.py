@@ -1,0 +1,89 @@
+"""Every command of the table: its help at once and without side effects, its refusal in one line."""
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import fields
+from importlib import import_module
+
+import pytest
+from helpers.processes import ROOT
+
+from experiments.cli import ALIASES, COMMANDS, help_text, main, split_command
+
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+
+
+def call(arguments, cwd):
+    """Run a module of the laboratory in a directory; the finished process."""
+    command = [sys.executable, "-m", *arguments]
+    return subprocess.run(
+        command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=60
+    )
+
+
+def test_table_of_commands_names_every_file_beside_it():
+    files = {path.stem for path in (ROOT / "experiments").glob("*.py")} - {"__init__", "cli"}
+    assert files == {*COMMANDS, *ALIASES}
+    assert set(ALIASES.values()) <= set(COMMANDS)
+    for name, about in COMMANDS.items():
+        assert f"  {name} " in help_text()
+        assert about in help_text()
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *ALIASES])
+def test_help_of_a_command_comes_at_once_with_every_option_and_starts_nothing(name, tmp_path):
+    begun = time.monotonic()
+    done = call([f"experiments.{name}", "--help"], tmp_path)
+    assert time.monotonic() - begun < 2
+    assert (done.returncode, done.stderr) == (0, "")
+    assert list(tmp_path.iterdir()) == []
+    module = import_module(f"experiments.{ALIASES.get(name, name)}")
+    for option in fields(module.Options) if hasattr(module, "Options") else ():
+        (line,) = [x for x in done.stdout.splitlines() if x.startswith(f"  {option.name}=")]
+        assert option.metadata["about"] in line
+    through_table = call(["experiments.cli", name, "--help"], tmp_path)
+    assert (through_table.returncode, through_table.stdout) == (0, done.stdout)
+
+
+def test_help_of_a_tool_shows_ranges_and_defaults(tmp_path):
+    shown = call(["experiments.evaluate", "--help"], tmp_path).stdout
+    assert "  episodes=16                that each seed plays, side by side [1 to 1024]" in shown
+    shown = call(["experiments.bench", "--help"], tmp_path).stdout
+    assert "ppo.epochs=4" in shown  # it takes the options of a run
+    assert "[more than 0, at most 1]" in shown
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_bad_input_of_a_command_is_one_line_and_status_2(name, tmp_path):
+    done = call([f"experiments.{name}", "nothing=1"], tmp_path)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("sndjax: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_imports_no_jax():
+    code = "import sys; from experiments.cli import main; assert main(sys.argv[1:]) == 0\n"
+    code += "assert not {'jax', 'envpool', 'flax', 'sndjax'} & set(sys.modules), 'imported'"
+    for name in COMMANDS:
+        done = subprocess.run(
+            [sys.executable, "-c", code, name, "--help"],
+            env=ENVIRONMENT, capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{name}: {done.stderr}"
+
+
+def test_split_command_of_a_run_an_alias_and_a_dashed_name():
+    assert split_command(["env=Venture"]) == ("run", ["env=Venture"])
+    assert split_command(["-m", "seed=0,1"]) == ("run", ["-m", "seed=0,1"])
+    assert split_command(["seed-table", "runs"]) == ("seed_table", ["runs"])
+    assert split_command(["explores", "runs"]) == ("seed_table", ["runs"])
+
+
+def test_main_of_an_unknown_command_names_the_nearest(capsys):
+    assert main(["repot", "runs/"]) == 2
+    assert "unknown command 'repot'; did you mean report" in capsys.readouterr().err
+    assert main([]) == 2
+    assert "usage: sndjax" in capsys.readouterr().out

@@ -1,0 +1,85 @@
+"""CONTRIBUTING.md's two walks, done to a copy of the tree, and README's table held to the table of algorithms."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from textwrap import dedent
+
+import pytest
+from helpers.processes import CAR, ROOT
+
+from sndjax.algorithm_table import ALGORITHMS
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory):
+    """A copy of both trees with the objective and the command of the walks."""
+    copy = tmp_path_factory.mktemp("copy")
+    for name in ("sndjax", "experiments"):
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    slow, longest = (
+        dedent("   " + code) for code in re.findall(r"```python\n   (.*?)```", text, re.DOTALL)
+    )
+    (copy / "sndjax" / "objectives" / "slow.py").write_text(slow)
+    with (copy / "sndjax" / "objectives" / "__init__.py").open("a") as file:
+        file.write(re.search(r"`(from sndjax.objectives.slow [^`]*)`", text)[1] + "\n")
+    (copy / "experiments" / "longest.py").write_text(longest)
+    table = copy / "experiments" / "cli.py"
+    line = 'COMMANDS = {\n    "longest": "print the longest training episode of a run",\n'
+    table.write_text(table.read_text().replace("COMMANDS = {\n", line))
+    return copy
+
+
+def call(walked, *arguments):
+    """Run the command of the copy."""
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments.cli", *arguments], cwd=walked, text=True,
+        env=os.environ | {"PYTHONPATH": str(walked)}, capture_output=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_walks_of_contributing_give_an_objective_and_a_command_that_run(walked):
+    cell = ["algo=grid", "algo.objective=slow", "algo.signal=distillation"]
+    run = [*CAR, *cell, "algo.minibatch_size=64", "total_steps=2048", "run_dir=one"]
+    assert "finished: one" in call(walked, *run)
+    assert "slow_distance" in (walked / "one" / "metrics.jsonl").read_text()
+    assert "first=0" in call(walked, "longest", "--help")
+    assert call(walked, "longest", "one") == "seed 0: 200 steps\n"  # MountainCar's limit
+
+
+def test_map_of_contributing_names_every_room():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    for path in (ROOT / "experiments").iterdir():
+        if (path / "__init__.py").is_file():
+            assert f"      {path.name}/" in text
+
+
+def test_table_of_readme_has_every_algorithm_with_its_objective_and_signal():
+    readme = (ROOT / "README.md").read_text()
+    rows = [line for line in readme.splitlines() if line.startswith("| `")]
+    pages = {"none": "", "distillation": "distillation", "prediction": "forward prediction"}
+    titles = {
+        "contrastive": "contrastive pairs", "st_dim": "ST-DIM", "vicreg": "VICReg",
+        "vicreg_inverse": "VICReg and inverse dynamics", "barlow_twins": "Barlow Twins",
+        "byol": "BYOL", "inverse_dynamics": "inverse dynamics", "none": "none",
+    }  # fmt: skip
+    for name, row in ALGORITHMS.items():
+        (line,) = [text for text in rows if f"`{name}`" in text.split("|")[1]]
+        if row.objective is None:
+            continue
+        _, _, objective, signal, *_ = line.split("|")
+        assert titles[row.objective] in objective
+        assert pages[row.signal] in signal
+
+
+def test_readme_is_short_and_its_links_and_those_of_the_docs_exist():
+    assert len((ROOT / "README.md").read_text().splitlines()) < 150
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    for page in pages:
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+            assert link.startswith("http") or (page.parent / link).exists(), f"{page}: {link}"
