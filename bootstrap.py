@@ -1,8 +1,11 @@
-"""Makes .venv with the pinned requirements: `make .venv` runs it with any Python.
+"""The script that makes .venv with the pinned requirements.
 
-With `sweeps` it adds what sweeps on clusters and trackers need, which the tests use too.
+`make .venv` runs it with any Python.
 
-It must be readable by old Pythons, so that it can tell them that they are too old.
+With the argument `sweeps` it adds the packages for sweeps on clusters and for trackers, which the
+tests need too.
+
+Old versions of Python must be able to parse this file, so that it can report that they are too old.
 """
 
 import os
@@ -16,11 +19,13 @@ LOG = os.path.join(HERE, ".venv", "install.log")
 
 
 def stop(message):
+    """Print an error message and exit with status 2."""
     sys.stderr.write("sndjax: %s\n" % message)
     sys.exit(2)
 
 
 def check_platform():
+    """Exit with an error if the Python version or the platform is not supported."""
     if sys.version_info < (3, 11):
         stop(
             "needs Python 3.11 or newer, and %s is %s; install one and say: make PYTHON=python3.12"
@@ -34,13 +39,14 @@ def check_platform():
 
 
 def last_line(text):
+    """Return the last line of a program's output that names an error, or else the last line."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if "ERROR" in line or "rror:" in line]
     return (errors or lines or ["no message"])[-1]
 
 
 def make_venv():
-    """The environment, and the command that installs into it."""
+    """Make the virtual environment, and return the pip command that installs into it."""
     command = [sys.executable, "-m", "venv", "--clear", VENV]
     inside = os.path.join(VENV, "bin", "python")
     try:
@@ -48,7 +54,7 @@ def make_venv():
 
         subprocess.run(command, check=True, capture_output=True, text=True)
         return [inside, "-m", "pip"]
-    except ImportError:  # Debian splits it off
+    except ImportError:  # Debian has ensurepip in another package
         pass
     except subprocess.CalledProcessError as error:
         stop("cannot make %s: %s" % (VENV, last_line(error.stderr or error.stdout)))
@@ -62,7 +68,13 @@ def make_venv():
 
 
 def install(pip, title, *arguments):
-    """Run pip, its output in the log and one line of it on the screen."""
+    """Run pip: its output goes to the log file, and each package's name to the screen.
+
+    Args:
+      pip: the pip command.
+      title: a line to print first.
+      *arguments: the arguments of `pip install`.
+    """
     print("%s (log: .venv/install.log)" % title)
     command = [*pip, "install", "--disable-pip-version-check", "--progress-bar", "off", *arguments]
     with open(LOG, "a") as log:
@@ -92,10 +104,12 @@ def install(pip, title, *arguments):
 
 
 def complete(name):
+    """Create an empty file in .venv that tells make that a step is complete."""
     open(os.path.join(VENV, name), "w").close()
 
 
 def add_sweeps():
+    """Install the packages for sweeps on clusters and for trackers."""
     pip = [os.path.join(VENV, "bin", "python"), "-m", "pip"]
     if not os.path.exists(os.path.join(VENV, "bin", "pip")):
         pip = [sys.executable, "-m", "pip", "--python", os.path.join(VENV, "bin", "python")]

@@ -1,4 +1,4 @@
-"""A new objective in one file: the successor among the batch's others (InfoNCE, cosine).
+"""A new objective in one file: find the next state among all in the batch (InfoNCE, cosine).
 
 python -m experiments.run env=MountainCar algo.module=examples/my_bonus.py:my_bonus
 """
@@ -10,10 +10,10 @@ import sndjax
 
 
 def info_nce(temperature: float = 0.1) -> sndjax.Objective:
-    """-log softmax over valid candidates of cos(z_t, z_t+1) / temperature, mean over rows."""
+    """Make InfoNCE: mean of -log softmax over valid candidates of cos(z_t, z_t+1) / temperature."""
 
     def init(key, features, num_actions):
-        return {}  # no parameters of its own
+        return {}  # no parameters except the encoder's
 
     def loss(params, encode, features, batch, rollout, key):
         unit = lambda z: z / jnp.sqrt(jnp.sum(z**2, axis=-1, keepdims=True) + 1e-12)
@@ -26,7 +26,7 @@ def info_nce(temperature: float = 0.1) -> sndjax.Objective:
 
 
 def my_bonus(num_actions: int, size: sndjax.Architecture) -> sndjax.IntrinsicModule:
-    """SND with it; `"noveld"` instead of `"distillation"` would be NovelD with it."""
+    """Make SND with this objective; `"noveld"` in place of `"distillation"` makes NovelD."""
     return sndjax.make_module_from_recipe(
         sndjax.ObjectiveRecipe(info_nce), "distillation", num_actions, size
     )

@@ -1,4 +1,4 @@
-"""`sndjax.snd_vic` in plain REINFORCE: a corridor with reward only where chance never gets."""
+"""`sndjax.snd_vic` in plain REINFORCE, in a corridor whose reward random actions never reach."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ look = lambda at: jax.nn.one_hot(at, LENGTH)
 
 
 def play(table, key):
-    """One episode in every corridor: where each step led, the actions, the rewards."""
+    """Play an episode in every corridor; return the next cells, actions and rewards, [T, N]."""
 
     def step(at, key):
         action = jax.random.categorical(key, 10 * table[at])
@@ -22,7 +22,7 @@ def play(table, key):
 
 
 def train(eta, seed=0, iterations=150):
-    """The share of corridors whose end is reached in the last episode."""
+    """Return the share of corridors whose end is reached in the last episode."""
     module = sndjax.snd_vic(num_actions=2, size=sndjax.VECTOR)
     params, state = module.init(jax.random.key(seed), look(jnp.zeros(ENVS, jnp.int32)))
     agent, adam = {"table": jnp.zeros((LENGTH, 2)), "module": params}, optax.adam(3e-3)

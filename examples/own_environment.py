@@ -1,4 +1,4 @@
-"""An environment of one's own, through gymnasium.make_vec.
+"""A new environment in one file, used through gymnasium.make_vec.
 
 python -m experiments.run env=gymnasium env.id=examples.own_environment:Corridor-v0 \
     algo=snd_vic algo.reward_scale=running_std
@@ -11,7 +11,7 @@ LENGTH = 30
 
 
 class Corridor(gym.Env):
-    """Reward 1 at the far end alone. The observation is where one stands: a vector or an image."""
+    """A corridor with reward 1 only at the far end. The observation is a vector or an image."""
 
     def __init__(self, image: bool = False):
         self.image, self.at = image, 0
@@ -23,7 +23,7 @@ class Corridor(gym.Env):
         )
 
     def look(self):
-        """A one-hot vector, or a red column on black."""
+        """Return the observation: a one-hot vector, or a red column on black."""
         if not self.image:
             return np.eye(LENGTH, dtype=np.float32)[self.at]
         picture = np.zeros((64, 64, 3), np.uint8)
@@ -31,13 +31,13 @@ class Corridor(gym.Env):
         return picture
 
     def reset(self, *, seed=None, options=None):
-        """Back to the near end."""
+        """Move back to the near end, and return the observation and no further information."""
         super().reset(seed=seed)
         self.at = 0
         return self.look(), {}
 
     def step(self, action):
-        """One cell to the left or to the right."""
+        """Move one cell to the left or to the right."""
         self.at = int(np.clip(self.at + 2 * action - 1, 0, LENGTH - 1))
         end = self.at == LENGTH - 1
         return self.look(), float(end), end, False, {}

@@ -13,7 +13,8 @@ from sndjax import Experience, TrainState
 from ..config.compose import parse_overrides
 from ..config.saved import apply_overrides, parse_saved
 from ..config.schema import Config
-from ..storage.checkpoints import CheckpointError, read_manifest, read_tree, unwrapped_shapes
+from ..storage.array_trees import CheckpointError, read_manifest, read_tree
+from ..storage.checkpoints import unwrapped_shapes
 from ..system.errors import ConfigError
 from ..training.diagnostics import nonfinite_terms
 from ..training.experiment import Experiment, build_experiment

@@ -50,9 +50,7 @@ def policy_flops(size: Architecture, stack: tuple[int, ...], num_actions: int, h
     """Operations of the actor-critic on one stack."""
     total, out, _ = torso_flops(size.convolutions(size.last), size.hidden, stack)
     d = size.features
-    return (
-        total + mlp_flops(out, d) + mlp_flops(d, d, num_actions) + mlp_flops(d, d, heads)
-    )
+    return total + mlp_flops(out, d) + mlp_flops(d, d, num_actions) + mlp_flops(d, d, heads)
 
 
 def objective_flops(

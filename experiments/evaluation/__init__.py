@@ -1,4 +1,4 @@
-"""Trained agents read back from their runs: how well they play, and films of it.
+"""Evaluation of trained agents: loading from a run, metrics of whole episodes, films.
 
-Knows nothing of training beyond the checkpoint that it reads.
+Must not depend on training beyond the checkpoints that it reads and the agents that it builds.
 """

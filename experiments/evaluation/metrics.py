@@ -1,4 +1,4 @@
-"""How well an agent plays: return, score, length and rooms over whole episodes."""
+"""Metrics of a trained agent: return, score, length and rooms over whole episodes."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from .players import PlayedEpisode, load_players, play_episodes
 
 
 def episode_metrics(played: list[PlayedEpisode]) -> dict[str, np.ndarray]:
-    """Return what is reported of each episode, float64[E]."""
+    """Return the metrics of each episode by name, float64[E]."""
     found = {
         "return": np.array([episode.reward.sum(dtype=np.float64) for episode in played]),
         "score": np.array([episode.score.sum(dtype=np.float64) for episode in played]),
@@ -26,17 +26,21 @@ def episode_metrics(played: list[PlayedEpisode]) -> dict[str, np.ndarray]:
 def evaluate_run(
     run: Path, episodes: int, greedy: bool, seed: int, trust: str | None = None
 ) -> list[dict[str, Any]]:
-    """Play with every seed of a run, and return the figures of each.
+    """Play episodes with the agent of every seed of a run, and return the metrics of each seed.
 
     Args:
-      run: its directory.
-      episodes: that each seed plays, side by side.
-      greedy: take the likeliest action instead of drawing one.
-      seed: of the environments.
-      trust: the code that the run's configuration names, see `load_players`.
+      run: the run directory.
+      episodes: the number of episodes of each seed, played in parallel.
+      greedy: take the most probable action instead of sampling one.
+      seed: the seed of the environments.
+      trust: the code that the run's configuration may name, see `load_players`.
+
+    Returns:
+      For each seed: `seed`, `iteration`, and for each metric its mean, its maximum and the 95%
+      bootstrap interval of its mean (missing for a single episode).
 
     Raises:
-      ConfigError: there is no agent to play.
+      ConfigError: no agent can be loaded, or its environment cannot be made.
     """
     lines = []
     with ProgressBars() as bars:
@@ -58,12 +62,12 @@ def evaluate_run(
 
 
 def print_metrics(lines: list[dict[str, Any]], policy: str, episodes: int) -> None:
-    """Print the figures of every seed, and as the last line a JSON object.
+    """Print the metrics of every seed, and as the last line a JSON object.
 
     Args:
-      lines: of `evaluate_run`.
-      policy: how actions were taken.
-      episodes: that each seed played.
+      lines: the result of `evaluate_run`.
+      policy: the way in which actions were chosen.
+      episodes: the number of episodes of each seed.
     """
     for line in lines:
         print(f"seed {line['seed']}, iteration {line['iteration']}, {policy}")

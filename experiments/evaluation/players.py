@@ -1,4 +1,4 @@
-"""A trained agent, read back from its run and let play without training."""
+"""Trained agents that are loaded from a run and play episodes without training."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,7 +18,8 @@ from ..config.saved import CONFIG, check_code, read_saved
 from ..config.schema import Config
 from ..config.validation import validate_config
 from ..environments.pools import EnvpoolPool, env_seeds, make_pool
-from ..storage.checkpoints import CheckpointError, Checkpoints
+from ..storage.array_trees import CheckpointError
+from ..storage.checkpoints import Checkpoints
 from ..system.errors import ConfigError
 from ..training.experiment import build_experiment
 from ..training.snapshots import to_rgb
@@ -40,20 +41,27 @@ class PlayedEpisode(NamedTuple):
     """One played episode, L transitions."""
 
     frames: np.ndarray  # [L + 1, *frame], as the module sees them
-    action: np.ndarray  # int32[L], the policy's
-    executed: np.ndarray  # int32[L], what the environment was given
+    action: np.ndarray  # int32[L], the policy's choice
+    executed: np.ndarray  # int32[L], the action that the environment received
     value: np.ndarray  # float32[L, K]
     reward: np.ndarray  # float32[L], the training reward
     score: np.ndarray  # float32[L]
-    room: np.ndarray  # uint8[L], in Montezuma's Revenge, else zeros
+    room: np.ndarray  # uint8[L], in Montezuma's Revenge; zeros in other games
     stream: int  # the seed of its environment
 
 
 def find_state(run: Path, like: Any) -> tuple[int, TrainState]:
-    """The newest whole checkpoint of a run: its iteration and the states of all seeds.
+    """Load the newest complete checkpoint of a run.
+
+    Args:
+      run: the run directory.
+      like: the shapes and dtypes of the states.
+
+    Returns:
+      The iteration of the checkpoint, and the states of all seeds.
 
     Raises:
-      ConfigError: there is none.
+      ConfigError: there is no checkpoint, or none can be used.
     """
     checkpoints = Checkpoints(run)
     try:
@@ -68,15 +76,16 @@ def find_state(run: Path, like: Any) -> tuple[int, TrainState]:
 
 
 def load_players(run: Path, trust: str | None = None) -> list[Player]:
-    """The agents of a run, one a seed.
+    """Load the agents of a run, one for each seed.
 
     Args:
-      run: its directory.
-      trust: the code that the run's stored configuration may name, if it names some: the value
-        of its `algo.module` or `env.id`, repeated.
+      run: the run directory.
+      trust: the code that the run's stored configuration may name, if it names any: the same value
+        as its `algo.module` or `env.id`.
 
     Raises:
-      ConfigError: there is no run, it names code, or no checkpoint of it can be used.
+      ConfigError: there is no run, its configuration names code that is not in `trust`, or none of
+        its checkpoints can be used.
     """
     if not (run / CONFIG).is_file():
         raise ConfigError(f"{run}: there is no run (no {CONFIG})")
@@ -93,7 +102,16 @@ def load_players(run: Path, trust: str | None = None) -> list[Player]:
 
 
 def make_choose(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
-    """A jitted step: (window, frame, first, step) -> (action, executed, value, window)."""
+    """Return a jitted function that chooses the actions of one step.
+
+    Args:
+      player: the agent that plays.
+      greedy: take the most probable action instead of sampling one.
+      seed: the seed of the sampled actions.
+
+    Returns:
+      (window, frame, first, step) -> (action, executed, value, window).
+    """
     agent, state = player.agent, player.state
     key = jax.random.fold_in(state.key, seed)
     actor = sndjax.Actor(state.policy, state.observations, key)
@@ -104,7 +122,7 @@ def make_choose(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
     ) -> tuple[jax.Array, ...]:
         output, window = sndjax.act(agent, actor, window, frame, first, step)
         action, executed = output.action, output.executed
-        if greedy:  # the environment's own random actions stay
+        if greedy:  # random actions of the environment are kept
             seen = scale_vectors(window, actor.observations, agent.unbounded)
             logits, _ = forward(agent.network, actor.policy, stack_to_channels(seen))
             likeliest = jnp.argmax(logits, axis=-1)
@@ -123,15 +141,18 @@ def play_episodes(
     keep: bool = True,
     report: Callable[[int, int], None] = lambda steps, ended: None,
 ) -> list[PlayedEpisode]:
-    """Whole episodes, one in each environment: short ones are not counted more often.
+    """Play whole episodes, one in each environment, so that short ones are not counted more often.
 
     Args:
-      player: who plays.
-      episodes: how many, side by side.
-      greedy: take the likeliest action instead of drawing one.
-      seed: of the environments and of the draws.
-      keep: keep the frames; else there is only the first.
-      report: called with the steps taken and the number of episodes that have ended.
+      player: the agent that plays.
+      episodes: the number of episodes, played in parallel.
+      greedy: take the most probable action instead of sampling one.
+      seed: the seed of the environments and of the sampled actions.
+      keep: whether to keep all frames; if False, only the first is kept.
+      report: called with the number of steps taken and the number of episodes that have ended.
+
+    Raises:
+      ConfigError: the environment cannot be made.
     """
     env, stack = player.config.env, player.config.env.stack
     pool = make_pool(env, [seed], episodes)
@@ -165,10 +186,17 @@ def play_episodes(
 
 
 def render_episode(player: Player, episode: PlayedEpisode) -> Iterator[np.ndarray]:
-    """What envpool draws of every state of an episode, uint8[H, W, 3]: it is played again.
+    """Yield an image of every state of an episode, uint8[H, W, 3].
+
+    An envpool task is played a second time, and envpool renders its states. For other tasks the
+    images are the frames.
+
+    Args:
+      player: the agent that played.
+      episode: the episode, with all its frames.
 
     Raises:
-      ConfigError: the task is not envpool's and has no images, or went otherwise this time.
+      ConfigError: a gymnasium task has no images, or the second time the frames are different.
     """
     env = player.config.env
     if env.suite != "envpool":
@@ -189,15 +217,15 @@ def render_episode(player: Player, episode: PlayedEpisode) -> Iterator[np.ndarra
 
 
 def episode_novelty(player: Player, episode: PlayedEpisode) -> np.ndarray:
-    """The unscaled signal of every transition, float32[L], with the weights of the checkpoint.
+    """Return the unscaled signal of every transition, float32[L], with the checkpoint's weights.
 
-    Zeros of the baseline. Episodic signals begin without memories.
+    The baseline has zeros. The memory of an episodic signal is empty at the start.
     """
     intrinsic, length = player.agent.intrinsic, len(episode.action)
     if intrinsic is None:
         return np.zeros(length, np.float32)
     module = intrinsic.module
-    short = -length % CHUNK  # the rewards are read in pieces of that many frames
+    short = -length % CHUNK  # so that `map_over_time` can take CHUNK frames at once
     column = lambda x, fill: jnp.pad(jnp.asarray(x), (0, short), constant_values=fill)[:, None]
     frames = np.concatenate([episode.frames, episode.frames[-1:].repeat(short, 0)])[:, None]
     seen = scale_vectors(jnp.asarray(frames), player.state.observations, player.agent.unbounded)

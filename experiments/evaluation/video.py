@@ -1,4 +1,4 @@
-"""A film of the best of some episodes, and a sheet of its most novel frames."""
+"""A film of the best of several episodes, and a contact sheet of its most novel frames."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -20,22 +20,22 @@ from .players import (
     render_episode,
 )
 
-HEIGHT, SIDE = 480, 640  # of the film, and of the traces beside the game
-SHEET, APART = 12, 16  # frames on the contact sheet, and steps between two of them
+HEIGHT, SIDE = 480, 640  # height of the film, and width of the traces beside the game (pixels)
+SHEET, APART = 12, 16  # frames on the contact sheet, and the fewest steps between two of them
 
 
 class FilmSettings(NamedTuple):
-    """What is filmed, and how.
+    """The settings of a film.
 
     Attributes:
-      episodes: are played, of which the best is filmed.
-      greedy: take the likeliest action instead of drawing one.
-      seed: of the environments.
-      agent: the seed of the run whose agent plays; -1: its first.
-      steps: film only the first steps; 0: all.
+      episodes: the number of episodes to play; the best one is filmed.
+      greedy: take the most probable action instead of sampling one.
+      seed: the seed of the environments.
+      agent: the seed of the run whose agent plays; -1: the first.
+      steps: the number of steps to film from the start of the episode; 0: all.
       rate: agent steps per second.
-      out: where the files go.
-      trust: the code that the run's configuration names, see `load_players`.
+      out: the directory of the files.
+      trust: the code that the run's configuration may name, see `load_players`.
     """
 
     episodes: int
@@ -49,7 +49,10 @@ class FilmSettings(NamedTuple):
 
 
 def best_episode(episodes: list[PlayedEpisode]) -> int:
-    """Which episode has the highest return, of those with the highest score the longest."""
+    """Return the index of the episode with the highest return.
+
+    Ties are decided by the score, then by the length.
+    """
     key = lambda e: (e.reward.sum(), e.score.sum(), len(e.action))
     return max(range(len(episodes)), key=lambda i: key(episodes[i]))
 
@@ -57,7 +60,16 @@ def best_episode(episodes: list[PlayedEpisode]) -> int:
 def draw_traces(
     episode: PlayedEpisode, novelty: np.ndarray, names: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The drawing beside the game, uint8[HEIGHT, SIDE, 3], and the column of each step in it."""
+    """Draw the novelty, the values and the score of an episode over its first M steps.
+
+    Args:
+      episode: the episode.
+      novelty: the signal of these steps, float32[M].
+      names: of the value heads.
+
+    Returns:
+      The picture, uint8[HEIGHT, SIDE, 3], and the column of each step in it, int[M].
+    """
     figure, axes = make_panels(3, 1, SIDE / 100, HEIGHT / 100, sharex=True)
     top, middle, bottom = axes[:, 0]
     steps = np.arange(len(novelty))
@@ -82,7 +94,13 @@ def draw_traces(
 def film_frames(
     pictures: Iterator[np.ndarray], side: np.ndarray, columns: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """The film's frames, uint8[HEIGHT, *, 3]: the game, and the traces with a line at now."""
+    """Yield the frames of the film, uint8[HEIGHT, *, 3]: the game, and the traces beside it.
+
+    Args:
+      pictures: images of the game, one for each step.
+      side: the picture of the traces, uint8[HEIGHT, SIDE, 3].
+      columns: the column of each step in it, at which a line marks the current step.
+    """
     for picture, column in zip(pictures, columns, strict=False):
         height, width = picture.shape[:2]
         wide = 2 * round(HEIGHT * width / height / 2)
@@ -99,13 +117,22 @@ def film_frames(
 def write_film(
     path: Path, frames: Iterator[np.ndarray], rate: int, report: Callable[[int], None]
 ) -> int:
-    """Write an mp4; the number of frames in it.
+    """Write an mp4 file.
+
+    Args:
+      path: of the file.
+      frames: the frames, uint8[H, W, 3], all of the same size.
+      rate: frames per second.
+      report: called with the number of frames written so far.
+
+    Returns:
+      The number of frames.
 
     Raises:
-      OSError: it cannot be written.
+      OSError: the file cannot be written completely.
     """
     writer, written = None, 0
-    new = path.with_name(f".new-{path.name}")  # the film has its name when it is whole
+    new = path.with_name(f".new-{path.name}")  # renamed when it is complete
     try:
         for frame in frames:
             if writer is None:
@@ -127,10 +154,13 @@ def write_film(
     return written
 
 
-def most_novel_steps(
-    novelty: np.ndarray, count: int = SHEET, apart: int = APART
-) -> np.ndarray:
-    """The steps of the highest novelty, none nearer to another than `apart`, in order of time.
+def most_novel_steps(novelty: np.ndarray, count: int = SHEET, apart: int = APART) -> np.ndarray:
+    """Return the steps of the highest novelty, in order of time.
+
+    Args:
+      novelty: the signal of each step.
+      count: the largest number of steps to return.
+      apart: the smallest distance between two of the returned steps.
 
     >>> most_novel_steps(np.array([0.0, 5.0, 4.0, 0.0, 3.0]), count=2, apart=2).tolist()
     [1, 4]
@@ -144,10 +174,17 @@ def most_novel_steps(
     return np.array(sorted(chosen))
 
 
-def draw_contact_sheet(
-    pictures: dict[int, np.ndarray], novelty: np.ndarray, out: Path
-) -> Path:
-    """The most novel frames with their steps and their signal, as a PNG."""
+def draw_contact_sheet(pictures: dict[int, np.ndarray], novelty: np.ndarray, out: Path) -> Path:
+    """Draw the most novel frames with their steps and their signal.
+
+    Args:
+      pictures: the images of the game, by step.
+      novelty: the signal of each step.
+      out: the path of the PNG, without suffix.
+
+    Returns:
+      The path of the PNG.
+    """
     height, width = next(iter(pictures.values())).shape[:2]
     rows = -(-len(pictures) // 4)
     figure, axes = make_panels(rows, 4, 8.4, rows * (2.1 * height / width + 0.3))
@@ -160,10 +197,10 @@ def draw_contact_sheet(
 
 
 def choose_player(run: Path, settings: FilmSettings) -> Player:
-    """Return the agent that plays.
+    """Load the agent of a run that plays the film.
 
     Raises:
-      ConfigError: the run has no such seed, or no agent.
+      ConfigError: the run has no such seed, or no agent can be loaded.
     """
     players = {player.seed: player for player in load_players(run, settings.trust)}
     player = players.get(settings.agent if settings.agent >= 0 else min(players))
@@ -173,10 +210,17 @@ def choose_player(run: Path, settings: FilmSettings) -> Player:
 
 
 def record_film(run: Path, settings: FilmSettings) -> list[Path]:
-    """Play, choose the best episode, draw it; return the files that were written.
+    """Play episodes, and write the film and the contact sheet of the best one.
+
+    Args:
+      run: the run directory.
+      settings: of the film.
+
+    Returns:
+      The files that were written.
 
     Raises:
-      ConfigError: there is no agent to play, or its task cannot be drawn.
+      ConfigError: no agent can be loaded, or its task cannot be rendered.
       OSError: the files cannot be written.
     """
     player = choose_player(run, settings)

@@ -126,14 +126,14 @@ def table_rows(summaries: Summaries) -> list[Row]:
 
 
 def markdown_table(summaries: Summaries, goal: float) -> list[str]:
-    """Return the lines of the Markdown table.
+    r"""Return the lines of the Markdown table.
 
     Args:
       summaries: of all finished runs.
       goal: the return that a seed must reach to be counted.
 
     >>> run = {"seed": 0, "last100_ext_return": 1.0, "mean_ext_return": 0.5, "wall_seconds": 9.4}
-    >>> print("\\n".join(markdown_table({"Car/rnd/0": run}, 0.9)))
+    >>> print("\n".join(markdown_table({"Car/rnd/0": run}, 0.9)))
     | Car | seed 0 | mean [95%] | at least 0.9 | mean of all episodes | median s |
     |---|---|---|---|---|---|
     | `rnd` | 1.00 | 1.00 | 1 of 1 | 0.50 | 9 |

@@ -1,5 +1,5 @@
-"""From a configuration to a trained agent: environments -> rollout -> train_step -> log.
+"""Training of the agents of a configuration: environments -> rollout -> train_step -> log.
 
-Start at `trainer.py`; `experiment.py` builds what it needs. Knows nothing of reports, sweeps or
-benchmarks.
+Start at `trainer.py`; `experiment.py` builds the objects that it needs. Must not depend on reports,
+sweeps or benchmarks.
 """

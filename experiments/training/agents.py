@@ -1,4 +1,4 @@
-"""From a configuration to an agent, and from a function of one seed to a function of all seeds."""
+"""Agents built from a configuration, and functions of one seed mapped over all seeds."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -28,12 +28,12 @@ def make_intrinsic_config(
 
     Args:
       algo: the algorithm and its options.
-      num_actions: A, of the environment.
+      num_actions: A, the number of actions of the environment.
       size: the sizes of the networks.
 
     Raises:
-      ConfigError: the user's module is not one.
-      ValueError: the module refuses this environment.
+      ConfigError: the user's module cannot be loaded.
+      ValueError: the module does not support this environment.
     """
     if algo.name == "ppo":
         return None
@@ -52,7 +52,7 @@ def make_intrinsic_config(
     return sndjax.IntrinsicConfig(
         module=make(num_actions, size, **own),
         eta=algo.eta,
-        reward_scale=cast(Any, algo.reward_scale),  # one of the choices: it was validated
+        reward_scale=cast(Any, algo.reward_scale),  # validated: it is one of the choices
         learning_rate=algo.learning_rate,
         minibatch_size=algo.minibatch_size,
         shuffle=algo.shuffle,
@@ -63,7 +63,7 @@ def network_sizes(config: Config, pool: Pool) -> sndjax.Architecture:
     """Return the network sizes for the frames of a pool.
 
     Raises:
-      ConfigError: the network is for pixels, and there are none.
+      ConfigError: the network is for pixels, and the environment has none.
     """
     if pool.dtype != np.uint8:
         if config.network != "thesis":
@@ -78,7 +78,12 @@ def network_sizes(config: Config, pool: Pool) -> sndjax.Architecture:
 
 
 def build_agent(config: Config, pool: Pool) -> sndjax.AgentSpec:
-    """Return the agent of a configuration for the frames and actions of a pool."""
+    """Return the agent of a configuration for the frames and actions of a pool.
+
+    Raises:
+      ConfigError: the network does not fit the frames, or the user's module cannot be loaded.
+      ValueError: the module does not support this environment.
+    """
     size = network_sizes(config, pool)
     intrinsic = make_intrinsic_config(config.algo, pool.num_actions, size)
     return sndjax.AgentSpec(
@@ -92,10 +97,11 @@ def build_agent(config: Config, pool: Pool) -> sndjax.AgentSpec:
 
 
 def make_encode(agent: sndjax.AgentSpec) -> Callable[..., Any] | None:
-    """Return the encoder of the agent's module as a jitted function of one seed; None without.
+    """Return the encoder of the agent's module as a jitted function of one seed.
 
     Returns:
-      (state, frames[B, *frame], action[B]) -> features float32[B, d].
+      (state, frames[B, *frame], action[B]) -> features float32[B, d]; None if the agent has no
+      module or the module has no features.
     """
     features = agent.intrinsic.module.features if agent.intrinsic else None
     if features is None:
@@ -112,15 +118,16 @@ def make_encode(agent: sndjax.AgentSpec) -> Callable[..., Any] | None:
 def map_over_seeds(
     function: Callable[..., Any], seeds: int, shared: int = 0, axis: str | None = None
 ) -> Callable[..., Any]:
-    """Return the function with its leaves mapped over seeds, [S, ...].
+    """Return a function that applies `function` to every seed, leaves [S, ...].
 
-    One seed is not mapped but squeezed: a batch axis of one costs time on a CPU.
+    For a single seed there is no vmap; the axis is removed and added again, because a batch axis
+    of one costs time on a CPU.
 
     Args:
-      function: of one seed.
-      seeds: S.
-      shared: so many of its last arguments are the same for all seeds.
-      axis: on several devices, the mesh's axis of seeds.
+      function: a function of one seed.
+      seeds: S, the number of seeds.
+      shared: the number of its last arguments that are the same for all seeds.
+      axis: on several devices, the name of the mesh's axis of seeds.
     """
     if seeds > 1:
         in_axes = lambda args: [0] * (len(args) - shared) + [None] * shared
@@ -137,13 +144,13 @@ def map_over_seeds(
 def init_states(agent: sndjax.AgentSpec, seeds: list[int], example: Any) -> sndjax.TrainState:
     """Return the state of every seed before its first iteration, leaves [S, ...].
 
-    One seed after another: under vmap the orthogonal weights become a batched QR
-    decomposition, and two of those at once deadlock jaxlib 0.10.2 on a CPU of two cores (each
-    holds a thread of the pool and waits there for the other's).
+    The seeds are initialized one after another: under vmap the orthogonal initialization becomes
+    a batched QR decomposition, and two of these at once deadlock jaxlib 0.10.2 on a CPU with two
+    cores (each holds a thread of the pool and waits in it for the thread of the other).
 
     Args:
-      agent: whose states.
-      seeds: one per agent.
+      agent: the agent.
+      seeds: the seed of each state.
       example: frames [N, *frame], for their shape and dtype.
     """
     init = jax.jit(partial(sndjax.init_train_state, agent))
@@ -154,12 +161,12 @@ def init_states(agent: sndjax.AgentSpec, seeds: list[int], example: Any) -> sndj
 def make_seeds_train_step(
     agent: sndjax.AgentSpec, config: Config, placement: SingleDevice = SINGLE_DEVICE
 ) -> Callable[..., Any]:
-    """Return `train_step` of every seed, leaves [S, ...], that treats NaN as `on_nan` says.
+    """Return `train_step` of every seed, leaves [S, ...], with NaN handled according to `on_nan`.
 
     Args:
-      agent: what learns.
-      config: its `on_nan` and its number of seeds.
-      placement: where the rows of a minibatch are computed.
+      agent: the agent that learns.
+      config: the configuration, for `on_nan` and the number of seeds.
+      placement: the devices that compute the rows of a minibatch.
     """
     step = sndjax.make_train_step(agent, placement.shard_rows)
 

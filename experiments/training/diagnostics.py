@@ -1,4 +1,4 @@
-"""Numbers that go wrong: not finite, or finite and a sign that nothing is being learned."""
+"""Diagnostics: values that are not finite, and metrics that show that nothing is learned."""
 
 import math
 from collections import deque
@@ -12,15 +12,19 @@ from sndjax import Experience, TrainState
 
 from ..config.saved import SavedConfig, to_yaml
 from ..config.schema import Config
-from ..storage.checkpoints import unwrap_key, write_tree
+from ..storage.array_trees import write_tree
+from ..storage.checkpoints import unwrap_key
 
-WINDOW = 10  # iterations that a sign must last
+WINDOW = 10  # iterations over which a metric is averaged before a warning
 PPO = ("policy_loss", "value_loss", "entropy", "kl", "ratio_clipped", "ppo_loss", "grad_norm")
 LAST = ("module_loss", "module_grad_norm")
 
 
 def computation_order(name: str) -> tuple[int, int]:
-    """Where in an update a figure comes up: rewards, PPO, the module, its loss and gradient."""
+    """Return a sort key: the position of a metric in the computation of an update.
+
+    The order is rewards, PPO, the intrinsic module, its loss and gradient, the state.
+    """
     if name == "ext_reward" or name.startswith("int_"):
         return (0, name != "ext_reward")
     if name == "state":
@@ -33,7 +37,17 @@ def computation_order(name: str) -> tuple[int, int]:
 def nonfinite_terms(
     seeds: list[int], reward: Any, valid: Any, metrics: dict[str, list[float]]
 ) -> list[str]:
-    """The terms that are not finite, each with its seed, in the order of their computation."""
+    """Return a line for each term that is not finite, in the order of their computation.
+
+    Args:
+      seeds: the seed of each agent.
+      reward: the rewards of the environments, [S, T, N].
+      valid: which rows are valid, [S, T, N].
+      metrics: the metrics of the update by name, one value for each seed.
+
+    Returns:
+      Lines "seed 0: kl is nan", sorted by seed and then by order of computation.
+    """
     found = []
     for i, seed in enumerate(seeds):
         terms = {"ext_reward": float(np.asarray(reward[i])[np.asarray(valid[i])].sum())}
@@ -51,19 +65,30 @@ def nonfinite_terms(
 def write_dump(
     path: Path, config: Config, versions: dict[str, str], state: TrainState, batch: Experience
 ) -> None:
-    """Write what `experiments.replay` needs: the state before the update, and its batch."""
+    """Write the dump that `experiments.replay` reads: the state before an update, and its batch.
+
+    Args:
+      path: the directory to create.
+      config: the configuration of the run.
+      versions: the versions of the packages, by name.
+      state: the states of all seeds before the update.
+      batch: the batch of the update.
+
+    Raises:
+      OSError: the dump cannot be written.
+    """
     tree = jax.tree.map(np.asarray, {"state": unwrap_key(state), "batch": batch})
     write_tree(path, tree, {"config": to_yaml(SavedConfig(config, versions))})
 
 
 class HealthMonitor:
-    """What the last iterations of a seed look like; each warning is given once."""
+    """A monitor of the recent metrics of a seed; each warning is given once."""
 
     def __init__(self, num_actions: int):
         entropy = math.log(num_actions)
         self.recent: dict[str, deque[float]] = {}
         self.warned: set[str] = set()
-        # figure -> (whether its mean over the last iterations is a bad sign, what to do)
+        # metric -> (a test whether its mean over the last iterations is bad, advice)
         self.signs = {
             "feature_spread": (
                 lambda value: value < 1e-4,
@@ -91,7 +116,7 @@ class HealthMonitor:
         }
 
     def update(self, line: dict[str, Any]) -> list[str]:
-        """The warnings that a line of metrics gives rise to."""
+        """Add a line of metrics, and return the new warnings."""
         found = []
         for name, (bad, advice) in self.signs.items():
             value = line.get(name)

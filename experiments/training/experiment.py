@@ -1,4 +1,4 @@
-"""One `build_experiment(config)`: the environments of a configuration and the agent for them."""
+"""`build_experiment(config)`: the environments of a configuration and the agent for them."""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,13 +18,13 @@ from .rollouts import Collector, choose_num_pools
 
 
 class Experiment(NamedTuple):
-    """What a configuration stands for; nothing is compiled before it is used.
+    """The objects that a configuration describes; functions are compiled on their first use.
 
     Attributes:
       config: the configuration.
-      pools: its environments, in groups that are stepped apart from each other.
-      agent: what learns.
-      placement: on which devices.
+      pools: its environments, in groups that step independently.
+      agent: the agent that learns.
+      placement: the devices that compute.
       act: `sndjax.act` of every seed, compiled on its first call.
       example: zeros of the shape and dtype of frames [N, *frame].
     """
@@ -38,7 +38,7 @@ class Experiment(NamedTuple):
 
     @property
     def pool(self) -> Pool:
-        """The first pool, for what is the same of all: shapes, dtypes, actions."""
+        """The first pool. All pools have the same shapes, dtypes and actions."""
         return self.pools[0]
 
     def init_states(self) -> sndjax.TrainState:
@@ -75,13 +75,13 @@ def build_experiment(
 
     Args:
       config: a valid configuration.
-      placement: on which devices it computes, and which environments are this host's.
+      placement: the devices that compute, and the environments that this host steps.
       start_iteration: the iteration that the run starts at; it seeds the environments' streams.
-      probe: make one environment only, to learn its spaces, and close it again. For agents that
-        play in other environments, or in none.
+      probe: make only one environment, to read its spaces, and close it. For agents that play in
+        other environments, or in none.
 
     Raises:
-      ConfigError: the task cannot be made or trained on, or the algorithm refuses it.
+      ConfigError: the task cannot be made or trained on, or the algorithm does not support it.
     """
     if probe:
         pools = make_pools(config.env, config.seeds[:1], 1)
@@ -99,7 +99,7 @@ def build_experiment(
     example = jnp.zeros((config.num_envs, *pools[0].shape), pools[0].dtype)
     try:
         jax.eval_shape(partial(sndjax.init_train_state, agent), jax.random.key(0), example)
-    except ValueError as error:  # an objective that this environment has nothing for
+    except ValueError as error:  # the objective does not support this environment
         raise ConfigError(f"algo={config.algo.name}: {error}") from None
     act = map_over_seeds(partial(sndjax.act, agent), config.num_seeds, 1, placement.axis)
     return Experiment(config, pools, agent, placement, placement.compile_act(act), example)

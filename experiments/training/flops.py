@@ -1,4 +1,4 @@
-"""How long the first update will take, before any was timed."""
+"""An estimate of the time of an update, for the first one, before any has been timed."""
 
 import math
 import time
@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-SHARE_OF_PEAK = 0.45  # of a plain matrix product's rate; about what an update reaches
+SHARE_OF_PEAK = 0.45  # the speed of a typical update relative to a plain matrix product
 
 
 def count_flops(jaxpr: Jaxpr) -> float:
-    """Floating-point operations of the products and convolutions in a program.
+    """Count the floating-point operations of the products and convolutions in a program.
 
-    A loop's body counts as often as it runs (a `while` without a known length, once).
+    The body of a loop counts once for each iteration (of a `while` of unknown length, only once).
 
     >>> from jax import lax
     >>> a = jnp.ones((10, 10))
@@ -39,12 +39,12 @@ def count_flops(jaxpr: Jaxpr) -> float:
 
 
 def shape_of(variable: Any) -> tuple[int, ...]:
-    """The shape of an operand or a result; a token has none."""
+    """Return the shape of an operand or a result; () for a token, which has no shape."""
     return getattr(variable.aval, "shape", ())
 
 
 def inner_jaxprs(values: Any) -> list[Jaxpr]:
-    """The programs among an operation's parameters: bodies of loops, branches, calls."""
+    """Return the programs among an operation's parameters: bodies of loops, branches, calls."""
     found = []
     for value in values:
         if isinstance(value, ClosedJaxpr):
@@ -57,7 +57,7 @@ def inner_jaxprs(values: Any) -> list[Jaxpr]:
 
 
 def matmul_flops_per_second(size: int = 2048) -> float:
-    """Floating-point operations per second of a float32 matrix product, here and now."""
+    """Measure the floating-point operations per second of a float32 matrix product."""
     product = jax.jit(lambda a: a @ a)
     a = jnp.ones((size, size))
     product(a).block_until_ready()
@@ -67,5 +67,5 @@ def matmul_flops_per_second(size: int = 2048) -> float:
 
 
 def estimate_seconds(jaxpr: Jaxpr) -> float:
-    """A rough time for one run of a program whose work is in its products."""
+    """Estimate the seconds of one run of a program in which products take most of the time."""
     return count_flops(jaxpr) / (SHARE_OF_PEAK * matmul_flops_per_second())

@@ -1,8 +1,9 @@
-"""Where a run computes: on one device, or with seeds and environments laid over several.
+"""The placement of a run: on one device, or with seeds and environments sharded over several.
 
-One mesh: its axis `seeds` holds agents and `envs` holds environments, of this host and, where a
-run has several (jax.distributed), of all. Every host steps its own environments and all do the
-same computations; what is written down is gathered on all hosts, and written by the first.
+There is one mesh. Its axis `seeds` divides agents and its axis `envs` divides environments, over
+the devices of all hosts of the run (jax.distributed). Every host steps its part of the environments
+and all hosts run the same computations; data to be written are gathered on all hosts, and the
+first host writes them.
 """
 
 import math
@@ -24,11 +25,11 @@ HOST_VARIABLES = ("JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
 def join_hosts() -> None:
     """Connect to the other processes of the run.
 
-    Their number and this one's place are read from the cluster's environment variables, or from
-    JAX_NUM_PROCESSES and JAX_PROCESS_ID.
+    The number of processes and the index of this process are read from the cluster's environment
+    variables, or from JAX_NUM_PROCESSES and JAX_PROCESS_ID.
 
     Raises:
-      ConfigError: neither is set, or the others do not come.
+      ConfigError: neither is set, or the other processes do not connect.
     """
     count, own = (os.environ.get(name) for name in HOST_VARIABLES)
     try:
@@ -44,14 +45,14 @@ def join_hosts() -> None:
 
 
 def assert_equal_on_hosts(value: int, otherwise: str) -> None:
-    """Raise unless all hosts call this with the same value.
+    """Raise ConfigError unless all hosts call this function with the same value.
 
     Args:
-      value: of this host.
-      otherwise: what it means if they differ, for the error.
+      value: the value of this host.
+      otherwise: the meaning of a difference, for the error message.
 
     Raises:
-      ConfigError: they differ.
+      ConfigError: the values differ.
     """
     values = np.ravel(multihost_utils.process_allgather(np.array(value))).tolist()
     if len(set(values)) > 1:
@@ -59,12 +60,12 @@ def assert_equal_on_hosts(value: int, otherwise: str) -> None:
 
 
 class SingleDevice:
-    """Places everything where jax puts it; what it computes with several devices is the same.
+    """The placement on one device, jax's default. `DeviceMesh` gives the same results on several.
 
     Attributes:
-      hosts: how many processes the run has.
-      is_leader: this process writes the run.
-      axis: the mesh's axis of seeds, None without a mesh.
+      hosts: the number of processes of the run.
+      is_leader: whether this process writes the files of the run.
+      axis: the name of the mesh's axis of seeds; None without a mesh.
     """
 
     hosts = 1
@@ -72,11 +73,11 @@ class SingleDevice:
     axis: str | None = None
 
     def shard_rows(self, rows: Any) -> Any:
-        """Return the rows [B, ...] of a minibatch, laid over the devices that compute them."""
+        """Return the rows [B, ...] of a minibatch, sharded over the devices that compute them."""
         return rows
 
     def local_env_slice(self, num_envs: int) -> slice:
-        """Return which of all environments this host steps."""
+        """Return the slice of all environments that this host steps."""
         return slice(0, num_envs)
 
     def compile_act(self, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -84,27 +85,27 @@ class SingleDevice:
         return jax.jit(function)
 
     def compile_train_step(self, function: Callable[..., Any]) -> Any:
-        """Return `train_step` of all seeds, jitted; it uses the state's memory again."""
+        """Return `train_step` of all seeds, jitted. The state is donated: its memory is reused."""
         return jax.jit(function, donate_argnums=0)
 
     def put_frames(self, frame: np.ndarray) -> Any:
-        """Copy frames [S, n, ...] of this host's environments to where they are learned from."""
+        """Copy frames [S, n, ...] of this host's environments to the devices that learn."""
         return jax.device_put(frame)
 
     def put_batch(self, batch: Any) -> Any:
-        """Return a batch of this host's environments as `train_step` takes it."""
+        """Return a batch of this host's environments in the form that `train_step` expects."""
         return batch
 
     def put_states(self, states: Any) -> Any:
-        """Return the states of all seeds, laid over the devices that learn."""
+        """Return the states of all seeds, sharded over the devices that learn."""
         return states
 
     def gather_hosts(self, tree: Any) -> Any:
-        """Return arrays [S, T, n, ...] of this host with those of all hosts side by side."""
+        """Return the arrays [S, T, n, ...] of all hosts, joined along the environments."""
         return tree
 
     def to_host(self, tree: Any) -> Any:
-        """Return a state that this host can read whole."""
+        """Return a copy of a sharded tree that this host can read completely."""
         return tree
 
     def any_host(self, condition: bool) -> bool:
@@ -115,7 +116,7 @@ class SingleDevice:
         """Wait until every host has reached the barrier of this name."""
 
     def num_pools(self, wanted: int, num_envs: int) -> int:
-        """Return into how many pools the environments go, of at most `wanted`."""
+        """Return the number of pools that the environments are divided into, at most `wanted`."""
         return wanted
 
     def assert_equal_on_hosts(self, value: int, otherwise: str) -> None:
@@ -126,10 +127,14 @@ SINGLE_DEVICE = SingleDevice()
 
 
 class DeviceMesh(SingleDevice):
-    """Lays seeds and environments over a mesh of several devices."""
+    """The placement of seeds and environments on a mesh of several devices."""
 
     def __init__(self, num_seeds: int, num_envs: int):
-        """Lay out the mesh.
+        """Create the mesh.
+
+        Args:
+          num_seeds: the number of seeds of the run.
+          num_envs: the number of environments of each seed.
 
         Raises:
           ConfigError: the environments cannot be divided among the devices.
@@ -150,7 +155,7 @@ class DeviceMesh(SingleDevice):
         self.axis = "seeds"
 
     def sharding(self, *axes: str | None) -> NamedSharding:
-        """Return the sharding of arrays whose axes are laid over these of the mesh."""
+        """Return the sharding of arrays whose leading axes are divided over these mesh axes."""
         return NamedSharding(self.mesh, PartitionSpec(*axes))
 
     def shard_rows(self, rows: Any) -> Any:
@@ -162,7 +167,7 @@ class DeviceMesh(SingleDevice):
         return slice(own * part, (own + 1) * part)
 
     def put(self, array: Any, *axes: str | None) -> Any:
-        """Return an array of this host's rows as its part of one that is laid over all devices."""
+        """Return the sharded array over all devices of which this host has the rows `array`."""
         if isinstance(array, jax.Array):
             return array
         return jax.make_array_from_process_local_data(self.sharding(*axes), array)
@@ -240,10 +245,10 @@ class DeviceMesh(SingleDevice):
 
 
 def choose_placement(config: Config) -> SingleDevice:
-    """Return how the run of a configuration is laid over the devices there are.
+    """Return the placement of a configuration on the available devices.
 
     Raises:
-      ConfigError: it cannot be laid over them.
+      ConfigError: the environments cannot be divided among the devices.
     """
     if jax.device_count() == 1:
         return SINGLE_DEVICE

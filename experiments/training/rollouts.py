@@ -1,6 +1,6 @@
-"""Collecting rollouts: the policy acts, the pools step, every frame is stored once.
+"""The collection of rollouts: the policy acts, the pools step, every frame is stored once.
 
-With two pools the environments of one step while the policy acts on the other's.
+With two pools, the environments of one pool step while the policy acts in the other.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from ..environments.pools import EnvStep, Pool
 
 
 class RolloutInfo(NamedTuple):
-    """What the log needs of a rollout beside what the learner does; arrays are [S, T, N]."""
+    """The data of a rollout that the log needs; arrays are [S, T, N]."""
 
     valid: np.ndarray
     done: np.ndarray
@@ -31,9 +31,9 @@ def experience_spec(config: Config, pool: Pool, value_heads: int) -> Experience:
     """Return the shapes and dtypes of the batches that a run collects.
 
     Args:
-      config: its seeds, environments, rollout length and stack.
-      pool: any pool of its environment, for the shape and dtype of frames.
-      value_heads: K, of the policy.
+      config: the configuration, for its seeds, environments, rollout length and stack.
+      pool: any pool of its environments, for the shape and dtype of frames.
+      value_heads: K, the number of value heads of the policy.
     """
     seeds, envs, steps = config.num_seeds, config.num_envs, config.rollout_length
     array: Any = lambda dtype, *shape: jax.ShapeDtypeStruct((seeds, *shape), dtype)
@@ -56,40 +56,49 @@ def experience_spec(config: Config, pool: Pool, value_heads: int) -> Experience:
 
 
 def choose_num_pools(num_envs: int) -> int:
-    """Return into how many pools the environments go.
+    """Return the number of pools that the environments are divided into.
 
-    Two where the policy acts on another device than the processor that the environments step
-    on; where both are the same, each only waits for the other.
+    There are two if the policy runs on another device than the CPU on which the environments step.
+    If both run on the CPU, each would only wait for the other.
     """
     return 2 if jax.default_backend() != "cpu" and num_envs % 2 == 0 else 1
 
 
 class HostFrames:
-    """A rollout's frames in the memory of the processor, which is where it learns."""
+    """The frames of a rollout in host memory, for learning on the CPU."""
 
     def __init__(self, shape: tuple[int, ...], dtype: Any):
         """Allocate frames [S, T + 1, N, *frame]."""
         self.buffer: Any = np.zeros(shape, dtype)
 
     def put(self, t: int, envs: slice, frame: np.ndarray) -> Any:
-        """Store the frames of step t of some environments; return them as the policy sees them."""
+        """Store the frames of one step of some environments.
+
+        Args:
+          t: the step.
+          envs: the environments.
+          frame: their frames, [S, n, *frame].
+
+        Returns:
+          The frames as the policy gets them.
+        """
         self.buffer[:, t, envs] = frame
         return self.buffer[:, t, envs]
 
     def stacked(self) -> Any:
-        """Return the frames of the rollout. The next one uses their memory again."""
+        """Return the frames of the rollout. The next rollout reuses their memory."""
         return self.buffer
 
 
 class DeviceFrames:
-    """A rollout's frames where it learns: each is copied there once, to be acted on."""
+    """The frames of a rollout on the device that learns: acting and learning share one copy."""
 
     def __init__(self, shape: tuple[int, ...], place: Callable[[np.ndarray], Any]):
         """Start without frames.
 
         Args:
-          shape: of all frames, [S, T + 1, N, *frame].
-          place: copies some of them to where they are learned from.
+          shape: the shape of all frames, [S, T + 1, N, *frame].
+          place: a function that copies frames to the devices that learn.
         """
         self.place = place
         self.steps: list[list[jax.Array]] = [[] for _ in range(shape[1])]
@@ -100,7 +109,16 @@ class DeviceFrames:
         self.join = jax.jit(join)
 
     def put(self, t: int, envs: slice, frame: np.ndarray) -> Any:
-        """Copy the frames of step t of some environments; return them as the policy sees them."""
+        """Copy the frames of one step of some environments to the devices that learn.
+
+        Args:
+          t: the step.
+          envs: the environments.
+          frame: their frames, [S, n, *frame].
+
+        Returns:
+          The frames as the policy gets them.
+        """
         if envs.start == 0:
             self.steps[t] = []
         self.steps[t].append(self.place(frame))
@@ -113,20 +131,20 @@ class DeviceFrames:
 
 @dataclass
 class PoolState:
-    """One pool, and where its environments are."""
+    """A pool, with the newest frames and the stacks of its environments."""
 
     pool: Pool
-    envs: slice  # its environments among all
+    envs: slice  # the positions of its environments among all
     frame: Any  # [S, n, *frame], the newest
-    first: np.ndarray  # [S, n], frame opens an episode
+    first: np.ndarray  # [S, n], whether the frame is the first of an episode
     window: Any  # [S, stack, n, *frame], the stack before this frame
 
 
 class Collector:
-    """The pools with the stack and the newest frame of each environment.
+    """The collector of rollouts from the pools of all seeds.
 
-    Its buffers are used again by the next rollout: a batch must have been learned from
-    before the next is collected.
+    The next rollout reuses the buffers: learning from a batch must end before the next batch is
+    collected.
     """
 
     def __init__(
@@ -143,10 +161,10 @@ class Collector:
         Args:
           pools: the environments of all seeds, in groups of the same size.
           act: `sndjax.act` of the agent, mapped over seeds.
-          stack: frames in a stack.
-          steps: T, rows of a rollout.
-          heads: K, value heads.
-          place: copies frames [S, n, ...] to where they are learned from.
+          stack: the number of frames in a stack.
+          steps: T, the number of steps of a rollout.
+          heads: K, the number of value heads.
+          place: a function that copies frames [S, n, ...] to the devices that learn.
         """
         pool = pools[0]
         seeds, size = pool.rows
@@ -183,10 +201,15 @@ class Collector:
         self.room: Any = np.zeros(rows, np.uint8) if pool.rooms else None
 
     def act(self, k: int, actor: Actor, t: int) -> tuple[ActOutput, Any]:
-        """Let the policies act at step t in pool k.
+        """Compute the actions of one step in one pool, and store the values.
+
+        Args:
+          k: the index of the pool.
+          actor: the policies, leaves [S, ...].
+          t: the step.
 
         Returns:
-          What they did, and the stacks with the newest frame.
+          The output of the policies, and the stacks with the newest frame.
         """
         state = self.pool_states[k]
         state.frame = self.frames.put(t, state.envs, state.frame)
@@ -196,13 +219,13 @@ class Collector:
         return output, window
 
     def send_actions(self, state: PoolState, t: int, output: ActOutput, window: Any) -> None:
-        """Start step t of a pool's environments, and store what the policies did.
+        """Start step t of a pool's environments, and store the output of the policies.
 
         Args:
-          state: of the pool.
+          state: the state of the pool.
           t: the step.
-          output: what the policies did.
-          window: the stacks that they saw.
+          output: the output of the policies.
+          window: the stacks that the policies got.
         """
         state.pool.send(np.asarray(output.executed))
         state.window = window
@@ -212,7 +235,7 @@ class Collector:
         columns["first"][:, t, state.envs] = state.first
 
     def receive_steps(self, state: PoolState, t: int) -> None:
-        """Wait for step t of a pool's environments, and store what it returned."""
+        """Wait for step t of a pool's environments, and store its results."""
         step: EnvStep = state.pool.receive()
         for name in ("done", "valid", "reward", "truncated", "score"):
             self.columns[name][:, t, state.envs] = getattr(step, name)
@@ -230,7 +253,7 @@ class Collector:
           report: called with the number of steps taken so far.
 
         Returns:
-          The batch for `train_step`, leaves [S, ...], and what the log needs.
+          The batch for `train_step`, leaves [S, ...], and the data for the log.
         """
         histories = []
         for t in range(self.steps):
@@ -245,7 +268,7 @@ class Collector:
                 report(t)
         for k, state in enumerate(self.pool_states):
             self.receive_steps(state, self.steps - 1)
-            self.act(k, actor, self.steps)  # for its value
+            self.act(k, actor, self.steps)  # only for the value of the last frame
         report(self.steps)
         c = self.columns
         rollout = Rollout(

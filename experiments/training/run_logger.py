@@ -1,4 +1,4 @@
-"""What a run writes: logs, checkpoints, snapshots, trackers; and how far it was written."""
+"""The files of a run: logs, checkpoints, snapshots, trackers; and where a run resumes."""
 
 import time
 from collections.abc import Callable
@@ -10,7 +10,8 @@ import sndjax
 
 from ..config.saved import check_settings, run_settings
 from ..config.schema import Config
-from ..storage.checkpoints import CheckpointError, Checkpoints
+from ..storage.array_trees import CheckpointError
+from ..storage.checkpoints import Checkpoints
 from ..storage.episodes import Episode
 from ..storage.run_directory import FollowerDirectory, RunDirectory
 from ..storage.run_logs import LOGS, RunLogs, check_logs
@@ -21,17 +22,17 @@ from .placement import SingleDevice
 from .rollouts import RolloutInfo
 from .snapshots import SnapshotWriter
 
-CHECKPOINT_SECONDS = 300  # a checkpoint at least this often
-SNAPSHOT_SECONDS = 300  # between two snapshots for TensorBoard
+CHECKPOINT_SECONDS = 300  # the longest time between two checkpoints
+SNAPSHOT_SECONDS = 300  # the shortest time between two snapshots for TensorBoard
 
 
 class RunLogger:
-    """The files of a run; of several hosts one writes for all.
+    """The files of a run; if there are several hosts, the first one writes for all.
 
     Attributes:
-      done: iterations that are in the files.
-      messages: lines to print once there is a display.
-      say: prints a line.
+      done: the number of iterations that are in the files.
+      messages: lines to print as soon as there is a display.
+      say: a function that prints a line.
     """
 
     def __init__(
@@ -40,10 +41,16 @@ class RunLogger:
         directory: RunDirectory | FollowerDirectory,
         placement: SingleDevice,
     ):
-        """Find the checkpoint to resume from, if the run was begun before.
+        """Find the checkpoint to resume from, if the run was started before.
+
+        Args:
+          config: the configuration of the run.
+          directory: the directory of the run.
+          placement: the devices and hosts of the run.
 
         Raises:
-          ConfigError: no checkpoint can be used, or there are logs without any.
+          ConfigError: no checkpoint can be used, there are logs without a checkpoint, or the hosts
+            find different checkpoints.
         """
         self.config, self.placement = config, placement
         self.path, self.shared = directory.path, directory.shared
@@ -57,7 +64,11 @@ class RunLogger:
         self.last_save, self.last_snapshot = time.monotonic(), -float("inf")
 
     def find_checkpoint(self) -> int | None:
-        """Return the iteration to resume from; None if the run has no checkpoint yet."""
+        """Return the iteration to resume from; None if the run has no checkpoint yet.
+
+        Raises:
+          ConfigError: no checkpoint can be used, or there are logs without a checkpoint.
+        """
         try:
             found, self.manifest, messages = self.checkpoints.find(self.check_manifest)
         except CheckpointError as error:
@@ -79,7 +90,11 @@ class RunLogger:
         check_logs(self.shared, self.config.seeds, manifest["logs"])
 
     def load(self, like: Any) -> Any:
-        """Return the states of the checkpoint that the run resumes from; None for a new run."""
+        """Return the states of the checkpoint that the run resumes from; None for a new run.
+
+        Raises:
+          ConfigError: the checkpoint cannot be used.
+        """
         if self.found is None:
             return None
         try:
@@ -88,14 +103,18 @@ class RunLogger:
             raise self.no_checkpoint_error(error) from None
 
     def open_tracker(self) -> None:
-        """Open the tracker; it may raise ConfigError."""
+        """Open the tracker.
+
+        Raises:
+          ConfigError: the tracker is not installed, or cannot be opened.
+        """
         self.tracker = Tracker(self.config, self.path, self.placement.is_leader)
 
     def open_logs(self, agent: sndjax.AgentSpec, rooms: bool) -> None:
-        """Open the logs, and cut off what is beyond the checkpoint.
+        """Open the logs, and remove the lines after the checkpoint.
 
         Args:
-          agent: whose novelty the snapshots show.
+          agent: the agent whose novelty the snapshots show.
           rooms: whether episodes count rooms.
         """
         self.placement.barrier("before the first line is written")
@@ -114,8 +133,8 @@ class RunLogger:
         """Log one iteration, and return its lines, one for every seed.
 
         Args:
-          info: the rollout, for its count of transitions.
-          metrics: of the update, a value for every seed.
+          info: the data of the rollout, for its number of transitions.
+          metrics: the metrics of the update by name, a value for every seed.
           ended: the episodes that ended, a list for every seed.
           times: seconds and rates, the same for every seed.
         """
@@ -142,41 +161,62 @@ class RunLogger:
         return lines
 
     def checkpoint_due(self, late: bool) -> bool:
-        """Return True if it is time for a checkpoint; on all hosts if it is on one."""
+        """Return True if a checkpoint is due on any host.
+
+        Args:
+          late: whether this host needs a checkpoint now, in any case.
+        """
         late |= time.monotonic() - self.last_save > CHECKPOINT_SECONDS
         return self.done % self.config.checkpoint_every == 0 or self.placement.any_host(late)
 
     def save(self, state: sndjax.TrainState) -> None:
-        """Start an asynchronous checkpoint write. The logs are fsynced first."""
+        """Start an asynchronous checkpoint write. The logs are fsynced first.
+
+        Raises:
+          OSError: the logs or the previous checkpoint could not be written.
+        """
         self.flush()
         if self.checkpoints.newest == self.done:
             return
-        if self.done < self.config.iterations:  # a whole run is summarised once all is safe
+        if self.done < self.config.iterations:  # a finished run: after its last checkpoint
             self.logs.summarize(self.done * self.config.rows)
         manifest = self.logs.manifest() | {"settings": run_settings(self.config)}
         self.checkpoints.save(self.done, self.placement.to_host(state), manifest)
         self.last_save = time.monotonic()
 
     def flush(self) -> None:
-        """Wait for the pending checkpoint write, then send the tracker all metrics up to it."""
+        """Wait for the pending checkpoint write, then send the tracker all metrics up to it.
+
+        Raises:
+          OSError: the checkpoint could not be written.
+        """
         self.checkpoints.wait()
         if trouble := self.tracker.send(self.checkpoints.newest):
             self.say(trouble)
 
     def load_newest(self, like: Any) -> Any:
-        """Return the states of the newest checkpoint."""
+        """Return the states of the newest checkpoint.
+
+        Raises:
+          CheckpointError: the checkpoint cannot be used.
+        """
         assert self.checkpoints.newest is not None
         return self.placement.put_states(self.checkpoints.load(self.checkpoints.newest, like))
 
     def write_snapshot(
         self, state: sndjax.TrainState, batch: sndjax.Experience, int_reward: np.ndarray
     ) -> None:
-        """Write a snapshot for TensorBoard if the last is old; no run ends because of one.
+        """Write a snapshot for TensorBoard if the last one is older than `SNAPSHOT_SECONDS`.
+
+        An error of the user's module does not end the run: it ends the snapshots.
 
         Args:
-          state: of all seeds.
+          state: the states of all seeds.
           batch: the last rollout of all seeds.
           int_reward: its intrinsic rewards, [S, T, N].
+
+        Raises:
+          OSError: the disk cannot be written.
         """
         now = time.monotonic()
         if now - self.last_snapshot < SNAPSHOT_SECONDS or self.placement.hosts > 1:
@@ -186,8 +226,8 @@ class RunLogger:
             self.snapshots.write(writer, seeds, state, batch, int_reward)
             self.last_snapshot = now
         except OSError:
-            raise  # the disk: the logs are next
-        except Exception as error:  # a module of the user's own may raise anything
+            raise  # the disk: the next write to the logs would fail too
+        except Exception as error:  # the user's module may raise any exception
             self.last_snapshot = float("inf")
             self.say(f"TensorBoard gets no more snapshots: {error!r}")
 

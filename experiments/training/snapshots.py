@@ -1,4 +1,4 @@
-"""What TensorBoard shows now and then: the most novel frames, and how features spread."""
+"""Snapshots for TensorBoard: the most novel frames, and the eigenvalues of the features."""
 
 from typing import Any
 
@@ -13,11 +13,13 @@ from ..storage.tensorboard import TensorBoardWriter
 from .agents import make_encode
 from .feature_spectrum import COMPARED, PERCENTILES, eigenvalues
 
-STRIP, SIDE = 6, 160  # frames side by side, and their height in pixels
+STRIP, SIDE = 6, 160  # the most frames side by side, and their height in pixels
 
 
 def most_rewarded(reward: np.ndarray, valid: np.ndarray) -> list[tuple[int, int]]:
-    """(t, n) of the highest rewards [T, N], one of each environment, the highest first.
+    """Return (t, n) of the highest rewards [T, N], one for each environment, the highest first.
+
+    There are at most `STRIP` of them, and none for an environment without a valid row.
 
     >>> most_rewarded(np.array([[1.0, 5.0], [2.0, 7.0]]), np.array([[True, True], [True, False]]))
     [(0, 1), (1, 0)]
@@ -29,12 +31,12 @@ def most_rewarded(reward: np.ndarray, valid: np.ndarray) -> list[tuple[int, int]
 
 
 def to_rgb(frame: np.ndarray) -> np.ndarray:
-    """An image as uint8[H, W, 3]; of other channels the last one, in gray."""
+    """Return an image as uint8[H, W, 3]; without 3 channels, the last channel in gray."""
     return frame if frame.shape[-1] == 3 else np.repeat(frame[..., -1:], 3, -1)
 
 
 def join_frames(frames: list[np.ndarray]) -> np.ndarray:
-    """Images side by side, enlarged, as OpenCV has its colours: uint8[SIDE, *, 3]."""
+    """Join images side by side, enlarged: uint8[SIDE, *, 3] in OpenCV's channel order (BGR)."""
     wide = []
     for frame in frames:
         size = (round(SIDE * frame.shape[1] / frame.shape[0]), SIDE)
@@ -43,7 +45,12 @@ def join_frames(frames: list[np.ndarray]) -> np.ndarray:
 
 
 def most_novel_image(rollout: sndjax.Rollout, reward: np.ndarray) -> np.ndarray | None:
-    """The most novel frames of a rollout [T, N] as one image; None of vectors."""
+    """Return the most novel frames of a rollout [T, N] as one image; None for vectors.
+
+    Args:
+      rollout: the rollout of one seed.
+      reward: its intrinsic rewards, [T, N].
+    """
     if rollout.frames.dtype != np.uint8:
         return None
     places = most_rewarded(reward, np.asarray(rollout.valid))
@@ -51,7 +58,7 @@ def most_novel_image(rollout: sndjax.Rollout, reward: np.ndarray) -> np.ndarray 
 
 
 class SnapshotWriter:
-    """Writes snapshots of one seed after another; what it compiles is kept."""
+    """The writer of snapshots of all seeds; its compiled encoder is reused."""
 
     def __init__(self, agent: sndjax.AgentSpec):
         """Prepare the agent's encoder, if its module has one to show."""
@@ -61,11 +68,11 @@ class SnapshotWriter:
     def write(
         self, writer: TensorBoardWriter, seeds: list[int], state: Any, batch: Any, reward: Any
     ) -> None:
-        """Write what the last rollout's novelty was about, for every seed.
+        """Write a snapshot of the last rollout of every seed.
 
         Args:
           writer: the TensorBoard files.
-          seeds: one per agent.
+          seeds: the seed of each agent.
           state: the train states, leaves [S, ...].
           batch: the rollout, leaves [S, ...].
           reward: its intrinsic rewards, [S, T, N].
@@ -82,7 +89,15 @@ class SnapshotWriter:
     def feature_percentiles(
         self, state: sndjax.TrainState, rollout: sndjax.Rollout
     ) -> dict[str, float]:
-        """Return percentiles of the features' eigenvalues, from states evenly taken of a rollout."""
+        """Return percentiles of the features' eigenvalues, from evenly spaced states of a rollout.
+
+        Args:
+          state: the state of one seed.
+          rollout: its rollout.
+
+        Returns:
+          The metrics by name; {} without an encoder or valid rows, or if a feature is not finite.
+        """
         if self.encode is None:
             return {}
         rows = np.flatnonzero(np.asarray(rollout.valid))

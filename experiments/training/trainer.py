@@ -1,4 +1,4 @@
-"""The run itself: rollout -> train_step -> log, iteration after iteration."""
+"""The training loop of a run: rollout -> train_step -> log, for every iteration."""
 
 import signal
 import time
@@ -14,7 +14,7 @@ import numpy as np
 import sndjax
 
 from ..config.schema import Config
-from ..storage.checkpoints import CheckpointError
+from ..storage.array_trees import CheckpointError
 from ..storage.episodes import EpisodeTracker
 from ..storage.run_directory import FollowerDirectory, RunDirectory
 from ..storage.run_logs import mean_over_seeds
@@ -29,15 +29,23 @@ from .placement import choose_placement
 from .rollouts import RolloutInfo
 from .run_logger import RunLogger
 
-LONG_SECONDS = 60  # an iteration that takes longer is always followed by a checkpoint
-GRACE_SECONDS = 4  # that an update may continue after SIGTERM, so that its checkpoint is in time
+LONG_SECONDS = 60  # after a longer iteration there is always a checkpoint
+GRACE_SECONDS = 4  # for an update to end after SIGTERM; short, to leave time for a checkpoint
 
 
 class Trainer:
-    """A run and what it holds open."""
+    """The training of a run, with its environments and its open files."""
 
     def __init__(self, config: Config, directory: RunDirectory | FollowerDirectory):
-        """Prepare everything that can refuse the configuration; compile nothing yet."""
+        """Build everything that can raise a ConfigError; compile nothing yet.
+
+        Args:
+          config: a valid configuration.
+          directory: the directory of the run, locked.
+
+        Raises:
+          ConfigError: the task or the checkpoint does not fit the configuration.
+        """
         enable_compilation_cache()
         self.config, self.seeds = config, config.seeds
         self.placement = choose_placement(config)
@@ -47,13 +55,22 @@ class Trainer:
         self.train_step = self.placement.compile_train_step(self.experiment.make_train_step())
         self.update: Any = None  # the compiled train_step
         self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
-        # None: not made yet, or in an update.
+        # None: not initialized yet, or donated to a running update.
         self.state: sndjax.TrainState | None = self.logger.load(self.experiment.state_shapes())
-        self.update_seconds: float | None = None  # that an update is expected to take
+        self.update_seconds: float | None = None  # the expected time of an update
         self.logger.open_tracker()
 
     def train(self, interrupts: Interrupts) -> None:
-        """Train to the last iteration, logging each."""
+        """Run all remaining iterations, and log each.
+
+        Args:
+          interrupts: the signals that this process receives.
+
+        Raises:
+          FloatingPointError: with on_nan=stop, a number is not finite.
+          Interrupted: a signal was received.
+          OSError: the files of the run cannot be written.
+        """
         self.interrupts = interrupts
         config, logger = self.config, self.logger
         total = config.iterations * config.rows
@@ -79,7 +96,7 @@ class Trainer:
             self.collector.close()
 
     def announcements(self) -> Iterator[str]:
-        """Yield what there is to know before the first iteration."""
+        """Yield the lines to print before the first iteration."""
         config, intrinsic = self.config, self.experiment.agent.intrinsic
         signal_has_scale = intrinsic is None or intrinsic.module.has_published_scale
         if not signal_has_scale and config.algo.reward_scale == "none":
@@ -91,14 +108,14 @@ class Trainer:
             yield f"resuming from iteration {self.logger.done}; environments begin new episodes"
 
     def iterate(self) -> None:
-        """Run every iteration from the one that is next to the last."""
+        """Run every iteration from the next one to the last one."""
         config, progress, logger = self.config, self.progress, self.logger
         if logger.done == config.iterations:
             return
         progress.phase("compiling the policy")
         if self.state is None:
             self.state = self.placement.put_states(self.experiment.init_states())
-            logger.save(self.state)  # so that there is always one to resume from
+            logger.save(self.state)  # so that there is always a checkpoint to resume from
         pool = self.experiment.pool
         self.episodes = EpisodeTracker(self.seeds, config.num_envs, pool.rooms)
         self.monitors = {seed: HealthMonitor(pool.num_actions) for seed in self.seeds}
@@ -112,7 +129,7 @@ class Trainer:
         logger.flush()
 
     def run_iteration(self) -> None:
-        """Collect a rollout, learn from it, log it; write a checkpoint where it is time for one."""
+        """Collect a rollout, learn from it, log it; save a checkpoint if one is due."""
         config, progress, logger = self.config, self.progress, self.logger
         begun = time.monotonic()
         batch, info = self.collect()
@@ -144,18 +161,29 @@ class Trainer:
             logger.write_snapshot(self.state, batch, int_reward)
 
     def check(self) -> None:
-        """Raise Interrupted if a signal has come; several hosts stop together."""
+        """Raise Interrupted if any host received a signal, so that all hosts stop together.
+
+        Raises:
+          Interrupted: a signal was received.
+        """
         if self.placement.any_host(self.interrupts.received is not None):
             raise Interrupted(self.interrupts.received or signal.SIGTERM)
 
     def collect(self) -> tuple[sndjax.Experience, RolloutInfo]:
-        """Collect the next rollout."""
+        """Collect the next rollout.
+
+        Returns:
+          The batch for `train_step`, and the data for the log, of all hosts.
+
+        Raises:
+          Interrupted: a signal was received.
+        """
         assert self.state is not None
         self.progress.phase("collecting")
 
         def stepped(step: int) -> None:
-            self.interrupts.begin()  # the policy is compiled: from here on a check is never far
-            if self.placement.hosts == 1:  # several stop together, after an iteration
+            self.interrupts.begin()  # the policy is compiled: from here on `check` is called often
+            if self.placement.hosts == 1:  # several hosts stop together, after an iteration
                 self.interrupts.check()
             self.progress.within(step / self.config.rollout_length)
 
@@ -166,16 +194,24 @@ class Trainer:
     def learn(
         self, batch: sndjax.Experience, info: RolloutInfo
     ) -> tuple[dict[str, list[float]], np.ndarray]:
-        """Update every seed's state; return their metrics and intrinsic rewards, [S, T, N].
+        """Update the state of every seed.
+
+        Args:
+          batch: the rollout of all seeds.
+          info: the data for the log, for the check of the rewards.
+
+        Returns:
+          The metrics by name, a value for every seed, and the intrinsic rewards, [S, T, N].
 
         Raises:
           FloatingPointError: with on_nan=stop, a number is not finite.
+          Interrupted: a signal was received.
         """
         state = self.state
         assert state is not None
         if self.update is None:
             self.compile(state, batch)
-        # The update uses the state's memory again. One copy stays, on the disk or here.
+        # The update reuses the state's memory. A copy must remain, on the disk or here.
         on_disk = self.logger.checkpoints.newest == self.logger.done and self.placement.hosts == 1
         before = None if on_disk else self.copy(state)
         self.progress.phase("learning", self.update_seconds)
@@ -197,11 +233,15 @@ class Trainer:
         return metrics, np.asarray(reward)
 
     def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
-        """Return a context in which a signal breaks off the wait; not while other hosts wait."""
+        """Return a context in which a signal interrupts waiting, if this is the only host.
+
+        Args:
+          grace: the seconds that a wait may continue after the signal.
+        """
         return self.interrupts.waiting(grace) if self.placement.hosts == 1 else nullcontext()
 
     def compile(self, state: sndjax.TrainState, batch: sndjax.Experience) -> None:
-        """Compile the update, and estimate how long one takes."""
+        """Compile the update, and estimate its time."""
         self.progress.phase("compiling the update")
         begun = time.monotonic()
         with self.breakable():
@@ -217,12 +257,15 @@ class Trainer:
     def keep_nonfinite(
         self, wrong: list[str], before: sndjax.TrainState | None, batch: sndjax.Experience
     ) -> str:
-        """Write a checkpoint from before the update and a dump of it; return what to tell the user.
+        """Save the state before an update that failed and a dump of the update.
 
         Args:
           wrong: the terms that are not finite.
-          before: the state before the update; None where the checkpoint is of it.
-          batch: what the update learned from.
+          before: the state before the update; None if the newest checkpoint holds it.
+          batch: the batch of the update.
+
+        Returns:
+          The error message for the user.
         """
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
         logger = self.logger
@@ -245,7 +288,7 @@ class Trainer:
         )
 
     def save_before_leaving(self) -> None:
-        """Write a checkpoint of this moment, unless the state is inside a broken-off update."""
+        """Save a checkpoint of the current state, unless an interrupted update has its memory."""
         self.progress.phase("saving")
         try:
             if self.state is not None:
@@ -258,18 +301,18 @@ class Trainer:
 def train(
     config: Config, directory: RunDirectory | FollowerDirectory, interrupts: Interrupts
 ) -> None:
-    """Train the configuration in its directory, or resume what is there.
+    """Train the agents of a configuration in a run directory, or resume the run that is there.
 
     Args:
       config: a valid configuration.
-      directory: of the run, locked.
-      interrupts: the signals that came for this process.
+      directory: the directory of the run, locked.
+      interrupts: the signals that this process receives.
 
     Raises:
-      ConfigError: the task or the checkpoint refuses the configuration; nothing was written yet.
-      FloatingPointError: a number is not finite.
-      Interrupted: by a signal.
-      OSError: the run cannot be written.
+      ConfigError: the task or the checkpoint does not fit the configuration; nothing was written.
+      FloatingPointError: with on_nan=stop, a number is not finite.
+      Interrupted: a signal was received.
+      OSError: the files of the run cannot be written.
     """
     trainer = Trainer(config, directory)
     trainer.logger.messages += directory.begin(config, versions())

@@ -1,4 +1,4 @@
-"""A bonus of the user's own: the function in a Python file that the command line names."""
+"""The user's intrinsic module: a function in a Python file that the command line names."""
 
 import importlib.util
 import os
@@ -13,22 +13,28 @@ from ..system.errors import ConfigError
 
 
 def load_module(reference: str, num_actions: int, size: Architecture) -> IntrinsicModule:
-    """The module that FILE.py:FUNCTION makes of the number of actions and the network sizes.
+    """Call the user's function, and return the intrinsic module that it makes.
 
-    This runs the file. Its name may come from the command line alone.
+    This runs the file. For safety, its name may come only from the command line.
+
+    Args:
+      reference: FILE.py:FUNCTION, the user's function.
+      num_actions: A, the number of actions of the environment.
+      size: the sizes of the networks.
 
     Raises:
-      ConfigError: there is no such file or function, it fails, or it makes something else.
+      ConfigError: the file or the function does not exist, the file or the function raises an
+        error, or the function returns another type.
     """
     name, path = function_name(reference), reference.rpartition(":")[0]
     spec = importlib.util.spec_from_file_location("sndjax_user_module", path)
     assert spec is not None
     assert spec.loader is not None
-    # What the file imports from beside it, or from where the command was given, is found last.
+    # The file may import from its folder and from the current one; these are searched last.
     folders = (str(Path(path).resolve().parent), os.getcwd())
     sys.path += [folder for folder in folders if folder not in sys.path]
     loaded: Any = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = loaded  # dataclasses look their module up there
+    sys.modules[spec.name] = loaded  # dataclasses look up their module there
     try:
         spec.loader.exec_module(loaded)
         if not callable(getattr(loaded, name, None)):
@@ -36,7 +42,7 @@ def load_module(reference: str, num_actions: int, size: Architecture) -> Intrins
         made = getattr(loaded, name)(num_actions, size)
     except ConfigError:
         raise
-    except (Exception, SystemExit) as error:  # the user's code may raise anything
+    except (Exception, SystemExit) as error:  # the user's code may raise any exception
         kind = type(error).__name__
         where = error_line(error, path)
         raise ConfigError(f"algo.module={reference}: {kind}{where}: {error}") from None
@@ -49,7 +55,7 @@ def load_module(reference: str, num_actions: int, size: Architecture) -> Intrins
 
 
 def error_line(error: BaseException, path: str) -> str:
-    """Where in the user's file an error came from."""
+    """Return the line of the user's file that raised an error, as " in line N"; "" if unknown."""
     lines, trace = [], error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == path:

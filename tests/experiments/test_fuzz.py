@@ -13,7 +13,8 @@ import pytest
 import yaml
 from helpers.processes import CAR, start
 
-from experiments.analysis import update_replay as replay
+from experiments import replay
+from experiments.analysis import update_replay
 from experiments.config import validation as validate
 from experiments.config.saved import read_saved
 from experiments.run import main
@@ -230,7 +231,7 @@ def test_no_dump_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
     path, copy = tmp_path / "run", tmp_path / "copy"
     command = [*CAR, "algo=ppo", "ppo.value_weight=3e38", "total_steps=256"]
     assert main([*command, f"run_dir={path}"]) == 1
-    monkeypatch.setattr(replay, "replay", lambda *_: None)
+    monkeypatch.setattr(update_replay, "replay_update", lambda *_: None)
     assert replay.main([str(path / "wrong-1")]) == 0
     draw = random.Random(count)
     for _ in range(count):
@@ -259,5 +260,5 @@ def test_a_directory_from_elsewhere_executes_nothing():
     refused = "allow_pickle=False"  # of numpy: plain numbers or an error
     found = [name for name, line in lines if refused not in line and readers.search(line)]
     assert len(files) > 40
-    # stored with the loader that makes plain data only; peers runs a script, as it is there to do
-    assert Counter(found) == {"stored.py": 1, "peers.py": 2}
+    # saved.py with the loader that makes plain data only; run_script.py runs the script it is given
+    assert Counter(found) == {"saved.py": 1, "run_script.py": 2}

@@ -53,28 +53,22 @@ def test_a_learner_interrupted_and_resumed_on_a_recorded_rollout_gives_the_same_
     """Three updates in a row, against one, a checkpoint, a new process's start, and two more."""
     code = """
 import pickle, sys
-from functools import partial
 import jax, numpy as np
-from experiments.training.agents import build, first_states, make_train_step, over_seeds
+from experiments.config.compose import load_config
 from experiments.storage.checkpoints import Checkpoints
-from experiments.training.rollouts import Collector
-from experiments.config.compose import load
-from experiments.environments.pools import make_pool
+from experiments.training.experiment import build_experiment
 from pathlib import Path
 import sndjax
 
 place, part = Path(sys.argv[1]), sys.argv[2]
-config = load("env=MountainCar algo=snd_vic num_envs=4 rollout_length=32 num_seeds=2 "
-              "ppo.minibatch_size=64 algo.minibatch_size=64".split())
-pool = make_pool(config.env, [0, 1], 4)
-agent = build(config, pool)
-fresh = lambda: first_states(agent, [0, 1], np.zeros((4, *pool.shape), pool.dtype))
-step = jax.jit(make_train_step(agent, config))
+config = load_config("env=MountainCar algo=snd_vic num_envs=4 rollout_length=32 num_seeds=2 "
+                     "ppo.minibatch_size=64 algo.minibatch_size=64".split())
+experiment = build_experiment(config)
+step = jax.jit(experiment.make_train_step())
 checkpoints = Checkpoints(place)
 if part == "whole":
-    state = fresh()
-    act = jax.jit(over_seeds(partial(sndjax.act, agent), 2, shared=1))
-    collector = Collector([pool], act, 1, 32, 2)
+    state = experiment.init_states()
+    collector = experiment.make_collector()
     batches = []
     for i in range(3):
         actor = sndjax.Actor(state.policy, state.observations, state.key)
@@ -87,7 +81,7 @@ if part == "whole":
     (place / "batches").write_bytes(pickle.dumps(batches))  # our own, of this test
 else:
     assert checkpoints.find(lambda manifest: None)[0] == 1
-    state = checkpoints.load(1, jax.eval_shape(fresh))
+    state = checkpoints.load(1, experiment.state_shapes())
     for batch in pickle.loads((place / "batches").read_bytes())[1:]:
         state, *_ = step(state, batch)
 state = state._replace(key=jax.random.key_data(state.key))

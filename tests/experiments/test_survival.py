@@ -127,7 +127,7 @@ def test_sigterm_during_an_update_of_minutes_breaks_it_off(tmp_path):
 def test_an_update_that_is_broken_off_leaves_the_state_before_it(tmp_path):
     """Also where the newest checkpoint is older: the tenth iteration is the first that is due."""
     path = tmp_path / "run"
-    command = [*LONG, "ppo.epochs=150", "total_steps=100_000_000", "checkpoint_every=10"]
+    command = [*LONG, "ppo.epochs=400", "total_steps=100_000_000", "checkpoint_every=10"]
     with running([*command, f"run_dir={path}"], tmp_path) as process:
         while len(whole_lines(path)) < 1:
             assert process.poll() is None, process.communicate()
@@ -200,7 +200,7 @@ def test_a_run_whose_newest_checkpoint_is_damaged_goes_on_from_the_one_before(tm
     assert main([f"resume={path}"]) == 0
     out = capfd.readouterr().out
     assert "checkpoint 8 cannot be used" in out
-    assert "going on from iteration 6" in out
+    assert "resuming from iteration 6" in out
     check_nothing_lost(path, 8)
     assert without_clock(lines(path))[:6] == whole[:6]
     assert tree_of(path)[0] == 8  # a whole one now
@@ -208,7 +208,7 @@ def test_a_run_whose_newest_checkpoint_is_damaged_goes_on_from_the_one_before(tm
         (step / "manifest.json").write_text("{}")
     before = (path / "metrics.jsonl").read_bytes()
     assert main([f"resume={path}"]) == 2
-    assert "nothing to go on from" in capfd.readouterr().err
+    assert "there is nothing to resume" in capfd.readouterr().err
     assert (path / "metrics.jsonl").read_bytes() == before
 
 

@@ -11,6 +11,7 @@ import pytest
 from helpers.processes import ROOT
 from helpers.run_files import made
 
+from experiments.reporting import seed_table
 from experiments.reporting.seed_table import draw_seeds, load_summaries, markdown_table, table_rows
 from experiments.seed_table import main
 
@@ -126,12 +127,10 @@ def test_a_sweep_becomes_a_table_and_what_is_not_finished_is_named(sweep, tmp_pa
 
 
 def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, monkeypatch):
-    import experiments.reporting.plot_style
-
     figures = []
-    save = experiments.reporting.plot_style.save
+    save = seed_table.save_figure
     keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
-    monkeypatch.setattr(experiments.reporting.plot_style, "save", keep)
+    monkeypatch.setattr(seed_table, "save_figure", keep)
     summaries, _ = load_summaries([sweep])
     draw_seeds(summaries, 0.9, tmp_path / "picture")
     (axes,) = figures[0].axes
@@ -147,12 +146,10 @@ def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, mon
 
 @pytest.mark.filterwarnings("error::UserWarning")  # of axes that have no room left
 def test_a_long_name_leaves_the_picture_its_room(tmp_path, monkeypatch):
-    import experiments.reporting.plot_style
-
     figures = []
-    save = experiments.reporting.plot_style.save
+    save = seed_table.save_figure
     keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
-    monkeypatch.setattr(experiments.reporting.plot_style, "save", keep)
+    monkeypatch.setattr(seed_table, "save_figure", keep)
     run = {"seed": 0, "last100_ext_return": 1.0}
     settings = ",".join(f"setting_{i}={i}" for i in range(12))
     draw_seeds({f"MountainCar/rnd/0,{settings}": run}, 0.9, tmp_path / "picture")

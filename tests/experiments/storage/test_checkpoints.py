@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import sndjax
+from experiments.storage import array_trees
 from experiments.storage import checkpoints as checkpoint
-from experiments.storage.checkpoints import CheckpointError, Checkpoints, unwrap_key
+from experiments.storage.array_trees import CheckpointError
+from experiments.storage.checkpoints import Checkpoints, unwrap_key
 from experiments.training.agents import init_states
 from sndjax.algorithms import NAMED
 
@@ -125,9 +127,9 @@ def test_arrays_that_would_execute_something_are_refused(state, tmp_path, monkey
     saved(tmp_path, state, [1])
     path, trace = tmp_path / "checkpoints" / "1", tmp_path / "trace"
     np.savez(path / "arrays.npz", **{"policy": np.array([Bomb(trace)], dtype=object)})
-    monkeypatch.setattr(checkpoint, "verify_manifest", lambda path: {})
+    monkeypatch.setattr(array_trees, "verify_manifest", lambda path: {})
     with pytest.raises(CheckpointError, match="allow_pickle=False"):
-        checkpoint.read_tree(path, jax.eval_shape(lambda: unwrap_key(state)))
+        array_trees.read_tree(path, jax.eval_shape(lambda: unwrap_key(state)))
     assert not trace.exists()
 
 
@@ -213,9 +215,9 @@ def test_what_was_killed_while_it_was_written_is_no_checkpoint(state, tmp_path, 
     def killed(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(checkpoint, "fsync_path", killed)
+    monkeypatch.setattr(array_trees, "fsync_path", killed)
     with pytest.raises(KeyboardInterrupt):
-        checkpoint.write_tree(tmp_path / "checkpoints" / "2", {"a": np.ones(3)}, {})
+        array_trees.write_tree(tmp_path / "checkpoints" / "2", {"a": np.ones(3)}, {})
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["1"]
 
 
@@ -225,7 +227,7 @@ def test_a_write_that_fails_is_told_at_the_next_one(state, tmp_path, monkeypatch
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint, "fsync_path", full)
+    monkeypatch.setattr(array_trees, "fsync_path", full)
     checkpoints.save(2, state, {})
     with pytest.raises(OSError, match=r"No space left.*the checkpoint of iteration 1 is intact"):
         checkpoints.wait()
@@ -238,11 +240,11 @@ def test_writing_checkpoints_stops_taking_memory(tmp_path):
     code = f"""
 from pathlib import Path
 import numpy as np
-from experiments.storage.checkpoints import write
+from experiments.storage.array_trees import write_tree
 from experiments.system.process import rss_mb
 tree = {{f"a{{i}}": np.random.default_rng(i).normal(size=(64, 64)) for i in range(60)}}
 for k in range(601):
-    write(Path({str(tmp_path)!r}) / str(k % 3), tree, {{}})
+    write_tree(Path({str(tmp_path)!r}) / str(k % 3), tree, {{}})
     if k % 100 == 0:
         print(rss_mb())
 """
