@@ -17,7 +17,7 @@ RUN := .venv/bin/python
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
-	@command -v $(PYTHON) >/dev/null || { echo "sndjax: no $(PYTHON) here; install Python 3.11 or newer, or say make PYTHON=..." >&2; exit 2; }
+	@command -v $(PYTHON) >/dev/null || { echo "sndjax: no $(PYTHON) here; install Python 3.11 or newer, or run make PYTHON=..." >&2; exit 2; }
 	@$(PYTHON) bootstrap.py
 
 .venv/.sweeps: .venv/.complete requirements-sweeps.txt

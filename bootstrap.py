@@ -28,7 +28,7 @@ def check_platform():
     """Exit with an error if the Python version or the platform is not supported."""
     if sys.version_info < (3, 11):
         stop(
-            "needs Python 3.11 or newer, and %s is %s; install one and say: make PYTHON=python3.12"
+            "needs Python 3.11 or newer, and %s is %s; install one and run: make PYTHON=python3.12"
             % (sys.executable, platform.python_version())
         )
     if sys.platform != "linux" or platform.machine() not in ("x86_64", "AMD64"):
@@ -99,7 +99,7 @@ def install(pip, title, *arguments):
         "(from versions: none)",
     )
     if any(sign in text for sign in network):
-        stop("cannot reach the package index; connect to a network and say make .venv again")
+        stop("cannot reach the package index; connect to a network and run make .venv again")
     stop("installation failed, see .venv/install.log: %s" % last_line(text))
 
 

@@ -16,7 +16,7 @@ COMMANDS = {
     "evaluate": "measure how well an agent plays",
     "record": "film an agent, with its novelty signal",
     "replay": "run an update that went wrong once more",
-    "sweep": "say how far each job of a sweep is",
+    "sweep": "show how far each job of a sweep is",
     "seed_table": "print the table of a sweep, a line for each algorithm",
     "analyze": "compare the feature spaces of trained modules",
     "novelty": "read modules' signals along a recorded trajectory",

@@ -26,7 +26,7 @@ class Options:
 def report(paths: list[Path], options: Options) -> None:
     """Write the page, once or until Ctrl-C."""
     if not paths:
-        raise ConfigError("say which directories: sndjax report runs/")
+        raise ConfigError("give the directories: sndjax report runs/")
     from .reporting.run_report import REFRESH_SECONDS, write_report
 
     out = Path(options.out)

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def open_run_directory(config: Config) -> RunDirectory | FollowerDirectory:
-    """Return the directory that this process writes to; of several processes the first has the run's.
+    """Return the directory that this process writes to; the first process has the run's.
 
     Raises:
       ConfigError: it cannot be written to; all processes are told.

@@ -1,4 +1,4 @@
-"""The named algorithms as data: each is one objective, one signal and the options published with it.
+"""The named algorithms as data: one objective, one signal and the published options each.
 
 This is the one table. `sndjax.algorithms` makes its functions from it; the laboratory makes its
 configurations and its help from it, and reads it without importing jax: this file imports nothing

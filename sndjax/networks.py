@@ -52,7 +52,7 @@ class Architecture(NamedTuple):
         return narrow.convolutions(self.snd_v_channels[-1])
 
     def rnd_convolutions(self) -> tuple[Convolution, ...]:
-        """Return the convolutions of Random Network Distillation; in patches, those of the others."""
+        """Return the convolutions of RND; with a patch layer, those of the other networks."""
         if self.patch or not self.channels:
             return self.convolutions(self.last)
         first, second, third = self.rnd_channels

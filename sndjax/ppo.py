@@ -35,7 +35,7 @@ class Hyperparameters(NamedTuple):
 
 
 def log_prob(logits: Float[Array, "B A"], action: Int[Array, " B"]) -> Float[Array, " B"]:
-    """Compute the log-probability of each action under the categorical distribution of its logits."""
+    """Compute the log-probability of each action under the softmax of its logits."""
     return jnp.take_along_axis(jax.nn.log_softmax(logits), action[:, None], axis=-1)[:, 0]
 
 

@@ -23,7 +23,8 @@ def make_preprocess(
     - `standardize`: minus the running mean, over the running standard deviation, clipped to
       [-1, 1].
 
-    >>> make_preprocess("mean", RunningStatistics(1.0, jnp.array([0.5]), jnp.zeros(1)))(jnp.ones((1, 1)))
+    >>> statistics = RunningStatistics(1.0, jnp.array([0.5]), jnp.zeros(1))
+    >>> make_preprocess("mean", statistics)(jnp.ones((1, 1)))
     Array([[0.5]], dtype=float32)
     """
     if mode == "none" or moments is None:

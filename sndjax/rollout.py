@@ -106,7 +106,7 @@ def stack_to_channels(stacked: Shaped[Array, "S B *frame"]) -> Shaped[Array, "B 
 
 
 def steps_since_reset(first: Bool[Array, "T N"], limit: int) -> Int[Array, "T N"]:
-    """Count the steps since the episode began, at most `limit`; `limit` too where it began before."""
+    """Count the steps since the episode began, at most `limit`; `limit` if it began earlier."""
 
     def step(
         count: Int[Array, " N"], first: Bool[Array, " N"]

@@ -1,4 +1,4 @@
-"""Shapes in signatures are checked at run time, and shapes never broadcast by accident."""
+"""Check the shapes in signatures at run time, and forbid broadcasting between ranks."""
 
 import jax
 import pytest
@@ -14,17 +14,17 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 @pytest.fixture(autouse=True, scope="module")
 def forget_compilations():
-    """Programs compiled for one file are let go with it: a process can map only so many."""
+    """Clear compiled programs after each test file: a process can map only a limited number."""
     yield
     jax.clear_caches()
 
 
 @pytest.fixture(scope="module")
 def quick_compilation():
-    """Programs that compile in a third of the time, for tests that look at other things.
+    """Shorten compilation to a third of the time, for tests that do not test these parts.
 
-    Native convolutions for ours (test_convolution.py holds both equal), normal weights for
-    orthogonal ones (test_networks.py looks at those).
+    Native convolutions replace ours (test_convolution.py tests that both are equal), and normal
+    initial weights replace orthogonal ones (test_networks.py tests those).
     """
     import flax.linen as nn
 

@@ -1,9 +1,9 @@
-"""Measure how the code is documented: python tests/measure_style.py
+"""Measure how the code is documented: python tests/measure_style.py [--list]
 
-Counts, of the library and of the laboratory: public functions of three parameters or more without an
-`Args:` section, docstrings that open with a noun or a clause, parameters of inner functions without
-a type, modules above 300 lines, functions above 60 lines (docstrings not counted). What each count
-finds is printed with --list.
+Counts, for the library and for the laboratory: public functions of three parameters or more
+without an `Args:` section, docstrings that open with a noun or a clause, parameters of inner
+functions without a type, modules above 300 lines, functions above 60 lines (docstrings not
+counted). --list prints each place.
 """
 
 import ast

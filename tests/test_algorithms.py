@@ -1,4 +1,4 @@
-"""The named algorithms: which cell each is, and what is its own about it."""
+"""Tests of the named algorithms: the cell of each, and the settings that differ from its cell."""
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +37,7 @@ def value(module, batch):
     return jax.jit(module.loss)(params, state, *arguments)
 
 
-def test_there_are_the_thirteen_of_the_thesis():
+def test_NAMED_thirteen_algorithms_of_thesis_are_exported():
     assert set(NAMED) == {
         "ppo", "rnd", "snd_v", "snd_std", "snd_vic", "snd_vinv", "icm", "sp",
         "sp_vic", "sp_vinv", "snd_barlow", "snd_byol", "qrnd",
@@ -47,14 +47,14 @@ def test_there_are_the_thirteen_of_the_thesis():
 
 
 @pytest.mark.parametrize("name", CELLS)
-def test_a_name_is_a_cell_of_the_grid(name):
+def test_NAMED_snd_and_sp_algorithms_equal_their_make_module_cell(name):
     batch = rollout(VECTOR, np.random.default_rng(0))
     named = value(MODULES[name](VECTOR.actions, VECTOR.size), batch)
     same = value(sndjax.make_module(*CELLS[name], VECTOR.actions, VECTOR.size), batch)
     jax.tree.map(np.testing.assert_array_equal, named, same)
 
 
-def test_rnd_subtracts_the_mean_reads_half_a_sum_and_keeps_a_quarter():
+def test_rnd_reward_subtracts_running_mean_and_is_half_a_sum():
     batch = rollout(VECTOR, np.random.default_rng(0))
     module = MODULES["rnd"](VECTOR.actions, VECTOR.size)
     params, state, _ = start(module, batch)
@@ -62,7 +62,7 @@ def test_rnd_subtracts_the_mean_reads_half_a_sum_and_keeps_a_quarter():
     assert (params.encoder, params.objective) == (
         None,
         None,
-    )  # the target is no parameter: no optimizer sees it
+    )  # the target is no parameter: no optimizer updates it
     reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
     mean = OBJECTIVES["none"]._replace(distillation={"reward_reduction": "mean"})
     plain = make_module_from_recipe(
@@ -72,7 +72,7 @@ def test_rnd_subtracts_the_mean_reads_half_a_sum_and_keeps_a_quarter():
     np.testing.assert_allclose(reward, other * 16 / 2, rtol=1e-5)
 
 
-def test_std_sums_its_distillation_and_spreads_where_sp_does_not():
+def test_snd_std_loss_sums_distillation_and_has_spread_term_and_sp_has_none():
     batch = rollout(VECTOR, np.random.default_rng(0))
     std, terms = value(MODULES["snd_std"](VECTOR.actions, VECTOR.size), batch)
     recipe = OBJECTIVES["st_dim"]._replace(distillation={})
@@ -95,7 +95,7 @@ def test_std_sums_its_distillation_and_spreads_where_sp_does_not():
     np.testing.assert_allclose(sp, terms["objective_loss"] + terms["prediction_loss"], rtol=1e-6)
 
 
-def test_qrnd_tells_actions_apart_in_one_state_and_rnd_does_not():
+def test_qrnd_reward_in_one_state_depends_on_action_and_rnd_does_not():
     batch = rollout(VECTOR, np.random.default_rng(0))
     same = batch._replace(frames=jnp.ones_like(batch.frames), valid=jnp.ones_like(batch.valid))
     for name, apart in (("qrnd", True), ("rnd", False)):
@@ -108,7 +108,7 @@ def test_qrnd_tells_actions_apart_in_one_state_and_rnd_does_not():
         assert (len({float(v[0]) for v in by_action}) > 1) == apart
 
 
-def test_an_action_is_an_input_of_distillation_alone():
+def test_make_module_from_recipe_action_input_outside_qrnd_raises_value_error():
     with pytest.raises(ValueError, match="action_input"):
         make_module_from_recipe(
             OBJECTIVES["vicreg"], "distillation", 3, VECTOR.size, action_input=True
@@ -118,7 +118,7 @@ def test_an_action_is_an_input_of_distillation_alone():
 
 
 @pytest.mark.parametrize("words", [("slow", "distillation"), ("vicreg", "surprise")])
-def test_unknown_names_are_refused_with_the_known_ones(words):
+def test_make_module_unknown_name_raises_with_known_names(words):
     with pytest.raises(ValueError, match="there is"):
         sndjax.make_module(*words, 3, VECTOR.size)
 
@@ -131,7 +131,7 @@ def test_unknown_names_are_refused_with_the_known_ones(words):
      {"pairing": "relu"}],
     ids=lambda o: "-".join(*o.items()),
 )  # fmt: skip
-def test_options_are_finite_and_change_the_networks_they_name(options, kind):
+def test_snd_vic_each_option_is_finite_and_changes_its_networks(options, kind):
     batch = rollout(kind, np.random.default_rng(0))
     module = MODULES["snd_vic"](kind.actions, kind.size, **options)
     params, state, arguments = start(module, batch)
@@ -146,7 +146,7 @@ def test_options_are_finite_and_change_the_networks_they_name(options, kind):
     assert (state.moments is not None) == ("preprocess" in options)
 
 
-def test_black_frames_have_finite_gradients():
+def test_module_loss_black_frames_has_finite_gradients():
     kind = KINDS[0]
     batch = rollout(kind, np.random.default_rng(0))
     batch = batch._replace(frames=jnp.zeros_like(batch.frames))

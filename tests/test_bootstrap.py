@@ -1,4 +1,4 @@
-"""What `make .venv` says where it cannot go on: one line, and status 2."""
+"""Tests of `make .venv` where it cannot continue: it prints one line and exits with status 2."""
 
 import ast
 import os
@@ -20,7 +20,7 @@ START = "import runpy, sys, platform; sys.argv = ['bootstrap.py']; {}; runpy.run
         ("sys.platform = 'darwin'", "is locked to the wheels of Linux on x86-64"),
     ],
 )
-def test_a_python_or_a_platform_that_will_not_do(before, words, tmp_path):
+def test_bootstrap_unsupported_python_or_platform_exits_with_one_line(before, words, tmp_path):
     copy = tmp_path / "bootstrap.py"
     copy.write_text((ROOT / "bootstrap.py").read_text())
     code = START.format(before, str(copy))
@@ -32,8 +32,8 @@ def test_a_python_or_a_platform_that_will_not_do(before, words, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["bootstrap.py"]
 
 
-def test_no_network_is_one_line_that_says_so(tmp_path):
-    """A package index at a port where nothing listens."""
+def test_bootstrap_without_network_exits_with_one_line(tmp_path):
+    """The package index is at a port where nothing listens."""
     for name in ("bootstrap.py", "requirements.txt", "pyproject.toml"):
         (tmp_path / name).write_text((ROOT / name).read_text())
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PIP_")} | {
@@ -47,16 +47,16 @@ def test_no_network_is_one_line_that_says_so(tmp_path):
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
-        "sndjax: cannot reach the package index; connect to a network and say make .venv again"
+        "sndjax: cannot reach the package index; connect to a network and run make .venv again"
     ]
     assert not (tmp_path / ".venv" / ".complete").exists()
 
 
-def test_old_pythons_can_read_it():
+def test_bootstrap_source_is_parsed_by_python_3_5():
     ast.parse((ROOT / "bootstrap.py").read_text(), feature_version=(3, 5))
 
 
-def test_no_python_at_all():
+def test_makefile_venv_missing_python_prints_what_to_install():
     done = subprocess.run(
         ["make", "-B", ".venv/.complete", "PYTHON=python9.9"],
         cwd=ROOT, capture_output=True, text=True,

@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md's two walks, done to a copy of the tree, and README's table held to the table of algorithms."""
+"""CONTRIBUTING.md's two walks, done on a copy of the tree, and the tables of README.md."""
 
 import os
 import re

@@ -13,7 +13,7 @@ LAYERS = {
     "RND": (Convolution(4, 8, 4, 2), Convolution(5, stride=2), Convolution(6)),
     "SND": tuple(Convolution(c, stride=s) for c, s in ((4, 2), (5, 2), (6, 2), (70, 1))),
 }
-# Some of the maps, the first among them or not.
+# Indices of the layers whose outputs are asked for, with or without the first layer.
 CASES = [
     ("stride 2", (0,)),
     ("stride 1", (0,)),
@@ -25,7 +25,7 @@ CASES = [
 
 
 def brute_force(x, kernel, bias, stride, padding):
-    """Cross-correlation in float64, one output at a time."""
+    """Compute the cross-correlation in float64, one output position at a time."""
     x, kernel = np.asarray(x, np.float64), np.asarray(kernel, np.float64)
     x = np.pad(x, ((0, 0), (padding,) * 2, (padding,) * 2, (0, 0)))
     size = kernel.shape[0]
@@ -40,7 +40,7 @@ def brute_force(x, kernel, bias, stride, padding):
 
 
 def network(rng, layers, batch=5, side=12, channels=3):
-    """Frames and the weights of some layers."""
+    """Return frames and the weights of some layers."""
     x = jnp.asarray(rng.normal(size=(batch, side, side, channels)).astype(np.float32))
     weights = []
     for layer in layers:
@@ -55,7 +55,7 @@ def network(rng, layers, batch=5, side=12, channels=3):
 @pytest.mark.parametrize("lowering", [convolve, convolve_native])
 @pytest.mark.parametrize("activation", ["elu", "relu", "none"])
 @pytest.mark.parametrize("layers", LAYERS)
-def test_every_map_is_the_brute_force_one(lowering, activation, layers):
+def test_convolve_every_layer_output_equals_brute_force(lowering, activation, layers):
     x, weights = network(np.random.default_rng(0), LAYERS[layers])
     wanted = tuple(range(len(weights)))
     maps = lowering(x, weights, LAYERS[layers], activation, wanted)
@@ -68,7 +68,7 @@ def test_every_map_is_the_brute_force_one(lowering, activation, layers):
 @pytest.mark.parametrize("activation", ["elu", "relu", "none"])
 @pytest.mark.parametrize("batch", [1, 8, 19])
 @pytest.mark.parametrize(("layers", "wanted"), CASES)
-def test_patches_equal_native_in_value_and_gradient(activation, batch, layers, wanted):
+def test_convolve_value_and_gradient_equal_convolve_native(activation, batch, layers, wanted):
     rng = np.random.default_rng(batch)
     layers = LAYERS[layers]
     x, weights = network(rng, layers, batch)
@@ -92,13 +92,15 @@ def test_patches_equal_native_in_value_and_gradient(activation, batch, layers, w
     ("backend", "images", "count"),
     [("cpu", 640, 80), ("cpu", 3, 1), ("cpu", 17, 3), ("gpu", 640, 1), ("gpu", 16_512, 17)],
 )
-def test_a_cpu_takes_eight_images_a_slice_others_a_minibatch(backend, images, count, monkeypatch):
+def test_slice_count_by_backend_is_8_images_on_cpu_and_minibatch_on_gpu(
+    backend, images, count, monkeypatch
+):
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     assert convolution.slice_count(images) == count
 
 
 @pytest.mark.parametrize("slices", [1, 2, 19])
-def test_the_gradients_are_the_same_in_any_number_of_slices_also_over_agents(slices, monkeypatch):
+def test_convolve_any_number_of_slices_under_vmap_gives_same_gradients(slices, monkeypatch):
     layers = LAYERS["SND"]
     agents = [network(np.random.default_rng(seed), layers, batch=19) for seed in range(2)]
     total = lambda lowering: lambda x, w: jnp.sum(lowering(x, w, layers, "elu", (2, 3))[1] ** 2)
@@ -111,7 +113,7 @@ def test_the_gradients_are_the_same_in_any_number_of_slices_also_over_agents(sli
         np.testing.assert_allclose(one / scale, np.stack(others) / scale, atol=2e-5)
 
 
-def test_pixels_are_read_as_fractions_of_255():
+def test_convolve_uint8_pixels_equal_fractions_of_255():
     rng = np.random.default_rng(0)
     layers = LAYERS["SND"]
     pixels = jnp.asarray(rng.integers(0, 256, (9, 12, 12, 3), dtype=np.uint8))
@@ -125,7 +127,7 @@ def test_pixels_are_read_as_fractions_of_255():
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
 
 
-def test_maps_over_seeds_and_runs_in_a_loop():
+def test_convolve_under_vmap_and_in_lax_map_equals_single_calls():
     rng = np.random.default_rng(0)
     layers = LAYERS["SND"]
     parts = [network(rng, layers, batch=11) for _ in range(3)]

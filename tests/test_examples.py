@@ -1,4 +1,4 @@
-"""The examples, run as their first lines say."""
+"""Tests of the examples, which run as their docstrings describe."""
 
 import importlib.util
 import json
@@ -23,19 +23,19 @@ def metrics(path):
     return [json.loads(line) for line in (path / "metrics.jsonl").read_text().splitlines()]
 
 
-def test_an_agent_that_is_not_ours_explores_with_the_bonus_and_not_without():
+def test_own_agent_train_with_bonus_reaches_the_end_and_without_does_not():
     agent = load("own_agent")
     assert agent.train(0.0) == 0
     assert agent.train(0.1) > 0.9
 
 
-def test_they_are_as_short_as_they_claim():
+def test_examples_own_agent_and_my_bonus_are_short():
     lines = lambda name: len((EXAMPLES / name).read_text().splitlines())
     assert lines("own_agent.py") < 60
     assert lines("my_bonus.py") < 40
 
 
-def test_a_new_objective_is_used_from_the_command_line_and_learns(tmp_path, monkeypatch):
+def test_my_bonus_on_command_line_learns_and_resume_needs_its_path(tmp_path, monkeypatch):
     monkeypatch.chdir(EXAMPLES.parent)
     bonus = "algo.module=examples/my_bonus.py:my_bonus"
     arguments = [
@@ -50,13 +50,13 @@ def test_a_new_objective_is_used_from_the_command_line_and_learns(tmp_path, monk
     entries = metrics(tmp_path / "r")
     assert entries[-1]["info_nce"] < entries[0]["info_nce"]
     assert all(entry["int_reward_mean"] > 0 for entry in entries)
-    # Going on with it needs the code named again.
+    # Resuming the run needs the path of the code again.
     assert main([f"resume={tmp_path / 'r'}"]) == 2
     assert main([f"resume={tmp_path / 'r'}", bonus]) == 0
 
 
 @pytest.mark.parametrize("image", [False, True])
-def test_an_environment_of_ones_own_trains(image, tmp_path, monkeypatch):
+def test_own_environment_vector_or_image_trains_with_right_counts(image, tmp_path, monkeypatch):
     monkeypatch.chdir(EXAMPLES.parent)
     arguments = [
         "env=gymnasium", "env.id=examples.own_environment:Corridor-v0", "algo=snd_vic", *SMALL,
@@ -66,5 +66,5 @@ def test_an_environment_of_ones_own_trains(image, tmp_path, monkeypatch):
     assert main(arguments) == 0
     entries = metrics(tmp_path / "r")
     assert [entry["step"] for entry in entries] == [64, 128]
-    assert entries[-1]["transitions"] == 128 - 2  # each corridor reset once, at its limit of 60
+    assert entries[-1]["transitions"] == 128 - 2  # each corridor is reset once, after 60 steps
     assert entries[-1]["episodes"] == 2

@@ -1,7 +1,7 @@
-"""One suite over every objective x signal x kind of input, at toy size.
+"""Tests of every objective x signal x kind of input, at toy size.
 
-Compilation is what this costs, so `make test` runs every objective under distillation and every
-signal on VICReg; `make test-all` runs every cell.
+Most of their time is compilation, so `make test` runs every objective with distillation and every
+signal with VICReg; `make test-all` runs every cell.
 """
 
 import functools
@@ -37,7 +37,7 @@ CELLS = [(o, s) for o in OBJECTIVES for s in SIGNALS]
 
 
 def parameters(kinds):
-    """Every cell on every kind; marked where `make test` leaves it out."""
+    """Return every cell with every kind of input, marked where `make test` omits it."""
     marks = lambda cell, kind: () if kind in kinds and cell in CROSS else pytest.mark.exhaustive
     return [
         pytest.param(*cell, kind, marks=marks(cell, kind), id="-".join((*cell, kind.name)))
@@ -50,7 +50,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 class Case(NamedTuple):
-    """A cell, its start, a rollout and all of its rows."""
+    """The module of a cell, its first parameters and state, a rollout and all rows of it."""
 
     module: object
     params: dict
@@ -70,7 +70,7 @@ def case(objective, signal, kind):
 
 
 def whole(module):
-    """Reward and loss with its gradient, as one program: what is tested of a cell."""
+    """Return one function that computes the reward, the loss and the gradient of a module."""
 
     def both(params, state, batch, rows):
         loss = lambda p: module.loss(p, state, rows, batch, jax.random.key(2))
@@ -83,14 +83,14 @@ def whole(module):
 
 @functools.cache
 def encoder_gradient(objective, kind):
-    """The gradient that reaches the encoder where the signal has no loss."""
+    """Return the gradient of the encoder where the signal has no loss of its own."""
     module, params, state, batch, rows = case(objective, "re3", kind)
     loss = lambda p: module.loss(p, state, rows, batch, jax.random.key(2))[0]
     return jax.jit(jax.grad(loss))(params).encoder
 
 
 def with_garbage(rows):
-    """The rows, those that do not count full of NaN or of impossible numbers."""
+    """Return the rows with NaN or impossible numbers in the invalid ones."""
 
     def bad(x):
         valid = jnp.tile(rows.valid, x.shape[0] // rows.valid.shape[0])
@@ -101,7 +101,7 @@ def with_garbage(rows):
 
 
 @pytest.mark.parametrize(("objective", "signal", "kind"), parameters([FLAT]))
-def test_rows_that_share_their_frames_give_the_same_loss_and_gradients(objective, signal, kind):
+def test_make_module_loss_of_slice_transitions_equals_gather_transitions(objective, signal, kind):
     module, params, state, batch, _ = case(objective, signal, kind)
     envs = batch.action.shape[1]
     start, count = 2 * envs, 5 * envs
@@ -112,7 +112,7 @@ def test_rows_that_share_their_frames_give_the_same_loss_and_gradients(objective
     loss = lambda p, rows: module.loss(p, state, rows, batch, jax.random.key(2))
     graded = jax.jit(jax.value_and_grad(loss, has_aux=True))
     wanted = graded(params, with_garbage(drawn))
-    # What no valid row reads, as s_t or as s_t+1, is garbage.
+    # Frames that no valid row reads, as s_t or as s_t+1, are set to NaN.
     read = np.concatenate([drawn.valid, np.zeros(envs, bool)])
     read |= np.concatenate([np.zeros(envs, bool), drawn.valid])
     assert not np.all(read)
@@ -124,13 +124,15 @@ def test_rows_that_share_their_frames_give_the_same_loss_and_gradients(objective
 
 
 @pytest.mark.parametrize(("objective", "signal", "kind"), parameters(KINDS))
-def test_a_cell(objective, signal, kind):
+def test_make_module_reward_and_loss_are_finite_masked_and_train_the_right_parts(
+    objective, signal, kind
+):
     module, params, state, batch, rows = case(objective, signal, kind)
     valid = np.asarray(batch.valid)
     both = jax.jit(whole(module))
     loss, metrics, gradient, reward, after = both(params, state, batch, rows)
 
-    # The reward: shape, dtype, sign; 0 on reset rows; the state keeps its form.
+    # The reward: shape, dtype, sign; 0 on reset rows; the state keeps its structure.
     assert reward.shape == batch.action.shape
     assert reward.dtype == jnp.float32
     assert np.all(np.isfinite(reward))
@@ -142,8 +144,8 @@ def test_a_cell(objective, signal, kind):
         assert (old.shape, old.dtype) == (new.shape, new.dtype)
         assert np.all(np.isfinite(new))
 
-    # The loss: a finite scalar; the same, with its gradients, where rows that do not count
-    # hold garbage.
+    # The loss: a finite scalar; equal, with its metrics and gradients, if the invalid rows hold
+    # garbage.
     assert loss.shape == ()
     assert not np.all(rows.valid)
     dirty = both(params, state, batch, with_garbage(rows))
@@ -152,7 +154,7 @@ def test_a_cell(objective, signal, kind):
         assert np.all(np.isfinite(one))
         np.testing.assert_array_equal(one, other)
 
-    # Gradients reach what they should, and nothing else.
+    # Gradients reach the trained parts, and no other part.
     moved = lambda tree: [bool(np.any(x)) for x in jax.tree.leaves(tree) if x.ndim > 1]
     assert all(moved(gradient.signal))
     assert bool(moved(gradient.signal)) == (signal in TRAINED)
@@ -161,25 +163,25 @@ def test_a_cell(objective, signal, kind):
         return
     assert all(moved(gradient.encoder))
     assert all(moved(gradient.objective))
-    if signal != "prediction":  # whose default moves the encoder, see test_prediction.py
+    if signal != "prediction":  # its default trains the encoder, see test_prediction.py
         other = encoder_gradient(objective, kind)
         largest = max(float(jnp.max(jnp.abs(x))) for x in jax.tree.leaves(other))
         for a, b in zip(*map(jax.tree.leaves, (gradient.encoder, other)), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4 * largest)
 
 
-# Ensembles and forward models take longer to agree on a state than to copy a network.
+# These signals need more training steps than a copy of a network.
 SLOW = ("disagreement", "prediction")
 
 
 def learner(made, objective, signal):
-    """A function that trains the parts that it is told, at their rates, on some rows."""
+    """Return a function that trains the named parts of the parameters on some rows."""
     vector = made.rows.frame.ndim == 2
     # SND-V's few pairs make its loss rise before it falls: 0.14, 0.24, 0.03, 0.002 every 30 steps.
     patient = signal in SLOW or objective == "contrastive"
     steps = 150 if vector else 200 if patient else 40
     adam = optax.adam(1.0)
-    # The first ten steps and the last ten meet the same draws.
+    # The first ten steps and the last ten use the same random keys.
     keys = jax.random.split(jax.random.key(3), 10)[np.arange(steps) % 10]
 
     @jax.jit
@@ -208,22 +210,22 @@ def learner(made, objective, signal):
 
 
 def fell(values, share=1.0):
-    """Whether the median of the last ten is below that of the first ten."""
+    """Return whether the median of the last ten values is below that of the first ten."""
     return np.median(values[-10:]) < share * np.median(values[:10])
 
 
 @pytest.fixture
 def quick_loops(monkeypatch):
-    """Our convolutions, which in a loop are far faster than the native ones."""
+    """Use our convolutions, which in a loop are far faster than the native ones."""
     monkeypatch.setattr(networks, "convolve", convolve)
 
 
 @pytest.mark.usefixtures("quick_loops")
 @pytest.mark.parametrize(("objective", "signal", "kind"), parameters([FLAT]))
-def test_each_loss_falls_and_what_was_seen_often_is_less_novel(objective, signal, kind):
-    """On a fixed batch: the objective's loss, and the signal's on an encoder that stays.
+def test_make_module_training_lowers_losses_and_reward_of_frequent_states(objective, signal, kind):
+    """Train the objective on a fixed batch, and the signal on a fixed encoder.
 
-    Then a thousand looks at one state, and one state among them that was never seen.
+    Then show one state in all rows, and after that a state that was never seen in one row.
     """
     made = case(objective, signal, kind)
     learn = learner(made, objective, signal)
@@ -247,12 +249,12 @@ def test_each_loss_falls_and_what_was_seen_often_is_less_novel(objective, signal
     still[5, 2] = new
     surprise = calm._replace(frames=jnp.asarray(still), first=no)
     novelty = np.asarray(reward(params, state, surprise, jax.random.key(1))[0])
-    # Signals of s_t see it in row 5, signals of s_t+1 in row 4.
+    # Signals that read s_t see the new state in row 5, signals that read s_t+1 in row 4.
     assert np.max(novelty[4:6, 2]) > 1.5 * np.max(np.delete(novelty, 2, axis=1))
 
 
 @pytest.mark.parametrize(("objective", "signal", "kind"), parameters([FLAT]))
-def test_jit_vmap_and_float64_agree(objective, signal, kind):
+def test_make_module_jit_vmap_and_float64_give_equal_loss_and_reward(objective, signal, kind):
     module, *arguments = case(objective, signal, kind)
     function = lambda *x: tuple(whole(module)(*x)[i] for i in (0, 3))
     loss, reward = jax.jit(function)(*arguments)
@@ -272,8 +274,8 @@ def test_jit_vmap_and_float64_agree(objective, signal, kind):
 
 
 @pytest.mark.parametrize(("objective", "signal", "kind"), parameters(IMAGES))
-def test_full_sizes_have_their_shapes(objective, signal, kind):
-    """Nothing is computed: shapes and dtypes alone go through every function."""
+def test_make_module_full_size_has_right_shapes_and_dtypes(objective, signal, kind):
+    """Trace every function with shapes and dtypes; no number is computed."""
     size = {"atari": ATARI, "procgen": PROCGEN, "vector": VECTOR}[kind.name]
     shape = {"atari": (96, 96, 1), "procgen": (64, 64, 3), "vector": (2,)}[kind.name]
     dtype = jnp.uint8 if len(shape) == 3 else jnp.float32

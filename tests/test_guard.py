@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 @pytest.fixture(scope="module")
 def both():
-    """A state, a batch, and `train_step` as it is and guarded."""
+    """Return a state, a batch, and `train_step` without and with the guard."""
     _, state, step = made("snd_vic", VECTOR)
     return state, batch_for(VECTOR), step, jax.jit(sndjax.skip_nonfinite(step))
 
@@ -22,7 +22,7 @@ def without_key(state):
     return state._replace(key=(), iteration=())
 
 
-def test_nothing_changes_while_every_number_is_finite(both):
+def test_skip_nonfinite_finite_numbers_changes_nothing(both):
     state, batch, step, guarded = both
     after, metrics, reward = step(state, batch)
     same, more, again = guarded(state, batch)
@@ -34,7 +34,7 @@ def test_nothing_changes_while_every_number_is_finite(both):
 
 @pytest.mark.parametrize("where", ["reward", "log_prob", "value", "frames", "weights"])
 @pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_an_iteration_with_a_number_that_is_not_finite_leaves_no_trace(both, where, number):
+def test_skip_nonfinite_nan_or_inf_keeps_state_and_reports_skipped(both, where, number):
     state, batch, _, guarded = both
     rollout = batch.rollout
     t, n = np.argwhere(np.asarray(rollout.valid))[3]
@@ -56,7 +56,7 @@ def test_an_iteration_with_a_number_that_is_not_finite_leaves_no_trace(both, whe
     assert not (jax.random.key_data(after.key) == jax.random.key_data(state.key)).all()
 
 
-def test_under_vmap_each_seed_is_skipped_by_itself(both):
+def test_skip_nonfinite_under_vmap_skips_each_seed_separately(both):
     state, batch, step, _ = both
     two = lambda tree: jax.tree.map(lambda x: jnp.stack([x, x]), tree)
     batches = two(batch)

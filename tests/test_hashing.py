@@ -9,7 +9,7 @@ from sndjax.hashing import random_projection, simhash_code
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3))
-def test_the_code_is_the_signs_read_as_a_number_whatever_the_length(seed, scale):
+def test_simhash_code_scaled_vectors_equals_signs_as_binary_number(seed, scale):
     rng = np.random.default_rng(seed)
     z, a = rng.normal(size=(3, 5, 4)).astype(np.float32), rng.normal(size=(4, 9)).astype(np.float32)
     wanted = [[sum(2**i for i in range(9) if row @ a[:, i] > 0) for row in rows] for rows in z]
@@ -17,8 +17,8 @@ def test_the_code_is_the_signs_read_as_a_number_whatever_the_length(seed, scale)
     np.testing.assert_array_equal(simhash_code(jnp.asarray(scale * z), jnp.asarray(a)), wanted)
 
 
-def test_the_chance_that_a_sign_differs_is_the_angle_over_pi():
-    """The property that SimHash is for (Charikar, 2002)."""
+def test_simhash_code_share_of_different_signs_is_angle_over_pi():
+    """Check the property that defines SimHash (Charikar, 2002)."""
     a = random_projection(jax.random.key(0), 8, 14)
     rng = np.random.default_rng(0)
     for angle in (0.3, 1.0, 2.5):
@@ -32,7 +32,7 @@ def test_the_chance_that_a_sign_differs_is_the_angle_over_pi():
         assert abs(np.mean(shares) - angle / np.pi) < 0.03
 
 
-def test_a_projection_keeps_lengths_on_average():
+def test_random_projection_many_vectors_keeps_squared_length_on_average():
     a = np.asarray(random_projection(jax.random.key(0), 200, 64))
     x = np.random.default_rng(0).normal(size=(500, 200))
     ratio = (x @ a**1) ** 2

@@ -1,4 +1,4 @@
-"""Sizes worked out by hand from the thesis' network table; start values from its gains."""
+"""Tests of sizes, computed by hand from the thesis' network table, and of initial weights."""
 
 import jax
 import jax.numpy as jnp
@@ -45,8 +45,8 @@ ENCODERS = [
     ("rnd", "vector", 8_512, 8_512),
     ("qrnd", "vector", 8_512 + 3 * 64, 8_512 + 3 * 64),
 ]
-# Encoder; forward model d+A -> d -> d -> d, (512+18)*512+512 + 2*(512*512+512); what the
-# objective adds.
+# Encoder; forward model d+A -> d -> d -> d, (512+18)*512+512 + 2*(512*512+512); networks of the
+# objective.
 PREDICTORS = [
     ("sp", "atari", 9_567_296, 797_184, 36_992),
     ("sp_vic", "atari", 9_567_296, 797_184, 0),
@@ -64,7 +64,9 @@ def example(kind):
 
 
 @pytest.mark.parametrize(("name", "kind", "target", "learned"), ENCODERS)
-def test_encoders_have_the_parameters_of_the_table(name, kind, target, learned):
+def test_NAMED_encoder_and_predictor_have_parameter_counts_of_thesis_table(
+    name, kind, target, learned
+):
     _, size, actions = FRAMES[kind]
     module = NAMED[name](actions, size)
     params, state = jax.eval_shape(module.init, jax.random.key(0), example(kind))
@@ -81,7 +83,9 @@ def test_encoders_have_the_parameters_of_the_table(name, kind, target, learned):
 
 
 @pytest.mark.parametrize(("name", "kind", "encoder", "forward", "objective"), PREDICTORS)
-def test_predictors_have_the_parameters_of_the_table(name, kind, encoder, forward, objective):
+def test_NAMED_forward_model_and_objective_have_parameter_counts_of_thesis_table(
+    name, kind, encoder, forward, objective
+):
     _, size, actions = FRAMES[kind]
     params, _ = jax.eval_shape(NAMED[name](actions, size).init, jax.random.key(0), example(kind))
     assert count(params.encoder) == encoder
@@ -93,7 +97,7 @@ def test_predictors_have_the_parameters_of_the_table(name, kind, encoder, forwar
     ("kind", "stack", "parameters"),
     [("atari", 4, 10_103_732), ("procgen", 2, 2_725_809), ("vector", 1, 17_157)],
 )
-def test_actor_critic_has_the_parameters_of_the_table(kind, stack, parameters):
+def test_ActorCritic_has_parameter_count_of_thesis_table(kind, stack, parameters):
     shape, size, actions = FRAMES[kind]
     stacked = jnp.zeros((2, *shape[:-1], shape[-1] * stack), example(kind).dtype)
     network = ActorCritic(size, actions)
@@ -107,7 +111,7 @@ def test_actor_critic_has_the_parameters_of_the_table(kind, stack, parameters):
 @pytest.mark.parametrize(
     ("kind", "local"), [("atari", (12, 12, 64)), ("procgen", (8, 8, 64)), ("vector", (1, 1, 64))]
 )
-def test_local_map_is_the_third_layer(kind, local):
+def test_make_encoder_and_predictor_local_map_is_third_layer(kind, local):
     _, size, _ = FRAMES[kind]
     target, _ = make_encoder_and_predictor(OBJECTIVES["st_dim"], size, "elu", "asymmetric")
     params = jax.eval_shape(target.init, jax.random.key(0), example(kind))
@@ -116,7 +120,7 @@ def test_local_map_is_the_third_layer(kind, local):
     assert maps.shape == (2, *local)
 
 
-def test_weights_are_orthogonal_with_the_gains_of_the_table_and_biases_zero():
+def test_ActorCritic_init_is_orthogonal_with_gains_of_thesis_table_and_zero_biases():
     network = ActorCritic(VECTOR, 3)
     params = network.init(jax.random.key(0), jnp.zeros((1, 2)))["params"]
     root = np.sqrt(2)
@@ -129,7 +133,7 @@ def test_weights_are_orthogonal_with_the_gains_of_the_table_and_biases_zero():
     assert set(params) == {*gains, "Torso_0"}
 
 
-def test_convolutions_are_orthogonal_with_the_gain_of_the_table():
+def test_snd_std_init_convolutions_are_orthogonal_with_gain_of_thesis_table():
     module = snd_std(18)
     params, _ = module.init(jax.random.key(0), example("atari"))
     for encoder in (params.encoder, params.signal):
@@ -141,12 +145,12 @@ def test_convolutions_are_orthogonal_with_the_gain_of_the_table():
             assert not np.any(torso[f"bias_{i}"])
 
 
-def test_one_head_stands_behind_an_extra_relu():
+def test_ActorCritic_one_value_head_has_an_extra_relu():
     one = ActorCritic(VECTOR, 3, value_heads=1)
     x = jnp.ones((4, 2))
     params = one.init(jax.random.key(0), x)
     torso = jax.tree.map(jnp.zeros_like, params)
-    torso["params"]["Dense_0"]["bias"] -= 1.0  # a negative torso output, cut off by the ReLU
+    torso["params"]["Dense_0"]["bias"] -= 1.0  # a negative torso output, which the ReLU sets to 0
     torso["params"]["Dense_3"]["kernel"] += 1.0
     torso["params"]["Dense_4"]["kernel"] += 1.0
     assert np.all(one.apply(torso, x)[1] == 0)
@@ -160,7 +164,7 @@ GAINS = [
 
 
 @pytest.mark.parametrize(("objective", "encoder", "learned"), GAINS)
-def test_motivation_networks_have_the_gains_and_activations_of_the_table(
+def test_make_encoder_and_predictor_has_gains_and_activations_of_thesis_table(
     objective, encoder, learned
 ):
     recipe = OBJECTIVES[objective]
@@ -180,7 +184,7 @@ def test_motivation_networks_have_the_gains_and_activations_of_the_table(
     ("pairing", "linear"),
     [("asymmetric", (1, 3)), ("one_linear", (1, 1)), ("two_linear", (2, 2)), ("relu", (1, 1))],
 )
-def test_pairings_are_those_of_figure_5_4(pairing, linear):
+def test_make_encoder_and_predictor_pairing_has_layers_of_figure_5_4(pairing, linear):
     target, learned = make_encoder_and_predictor(OBJECTIVES["vicreg"], PROCGEN, "elu", pairing)
     assert (target.extra + 1, learned.extra + 1) == linear
     same = target.convolutions == learned.convolutions

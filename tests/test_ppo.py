@@ -27,7 +27,7 @@ def case(seed, rows=16, actions=5):
 
 
 def in_numpy(c, hyper):
-    """The loss in float64 from its equation, row by row."""
+    """Compute the loss in float64 from its equation, row by row."""
     rows = [i for i in range(len(c["action"])) if c["valid"][i]]
     policy = value = entropy = 0.0
     for i in rows:
@@ -44,7 +44,7 @@ def in_numpy(c, hyper):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_equals_the_equation_in_float64(seed):
+def test_ppo_loss_random_batch_equals_equation_in_float64(seed):
     c = case(seed)
     if not c["valid"].any():
         return
@@ -52,7 +52,7 @@ def test_equals_the_equation_in_float64(seed):
     np.testing.assert_allclose(total, in_numpy(c, HYPER), rtol=1e-4, atol=1e-5)
 
 
-def test_surrogate_equals_rlax():
+def test_clipped_surrogate_random_batch_equals_rlax():
     c = case(0)
     ratio = jnp.exp(ppo.log_prob(c["logits"], c["action"]) - c["old_log_prob"])
     ours = -jnp.mean(ppo.clipped_surrogate(ratio, c["advantage"], 0.1))
@@ -71,7 +71,7 @@ def test_log_prob_and_entropy_equal_distrax():
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 10))
-def test_at_ratio_one_the_gradient_is_the_policy_gradient(seed, scale):
+def test_clipped_surrogate_at_ratio_one_has_gradient_of_the_policy_gradient(seed, scale):
     c = case(seed)
     advantage = scale * c["advantage"]
     old = ppo.log_prob(c["logits"], c["action"])
@@ -88,7 +88,7 @@ def test_at_ratio_one_the_gradient_is_the_policy_gradient(seed, scale):
     )
 
 
-def test_order_and_invalid_rows_do_not_matter():
+def test_ppo_loss_reordered_or_without_invalid_rows_is_unchanged():
     c = case(2)
     total, metrics = ppo.loss(**c, hyper=HYPER)
     order = np.random.default_rng(0).permutation(len(c["action"]))
@@ -101,7 +101,7 @@ def test_order_and_invalid_rows_do_not_matter():
         np.testing.assert_allclose(value, alone_metrics[name], rtol=1e-4, atol=1e-6)
 
 
-def test_kl_estimate_is_positive_and_zero_for_the_same_policy():
+def test_ppo_loss_kl_is_zero_for_same_policy_and_positive_for_another():
     c = case(3)
     assert ppo.loss(**c, hyper=HYPER)[1]["kl"] > 0
     c["old_log_prob"] = ppo.log_prob(c["logits"], c["action"])

@@ -5,7 +5,7 @@ from sndjax.preprocessing import make_preprocess
 from sndjax.types import RunningStatistics
 
 
-def test_the_three_modes():
+def test_make_preprocess_none_mean_standardize_equal_numpy():
     x = np.random.default_rng(0).integers(0, 256, (50, 3), dtype=np.uint8)
     samples = x.astype(np.float64) / 255
     m2 = ((samples - samples.mean(0)) ** 2).sum(0)

@@ -13,7 +13,7 @@ jitted = jax.jit(generalized_advantage, static_argnums=(4, 5, 7))
 
 
 def brute_force(reward, value, done, valid, discount, lam, truncated=None, episodic=True):
-    """Each advantage as an explicit sum over the valid rows that follow it."""
+    """Compute each advantage as an explicit sum over the valid rows from its own row on."""
     steps, envs = reward.shape
     advantage = np.zeros((steps, envs))
     for n in range(envs):
@@ -50,7 +50,7 @@ def on_device(*arrays):
 
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
-def test_equals_brute_force(seed, bootstrap, episodic):
+def test_generalized_advantage_random_episodes_equals_brute_force(seed, bootstrap, episodic):
     reward, value, done, valid, truncated = case(seed)
     limit = truncated if bootstrap else None
     wanted = brute_force(reward, value, done, valid, 0.9, 0.8, limit, episodic)
@@ -60,7 +60,7 @@ def test_equals_brute_force(seed, bootstrap, episodic):
 
 
 @pytest.mark.parametrize("transform", [lambda f: f, jax.jit])
-def test_equals_rlax_where_there_are_no_reset_rows(transform):
+def test_generalized_advantage_without_reset_rows_equals_rlax(transform):
     reward, value, done, _, _ = case(1)
     valid = np.ones_like(done)
     ours = transform(lambda *a: generalized_advantage(*a, 0.9, 0.8))(
@@ -74,7 +74,7 @@ def test_equals_rlax_where_there_are_no_reset_rows(transform):
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
-def test_what_reset_rows_hold_does_not_matter():
+def test_generalized_advantage_nan_in_reset_rows_changes_nothing():
     reward, value, done, valid, _ = case(3, steps=30)
     assert (~valid).any()
     clean = generalized_advantage(*on_device(reward, value, done, valid), 0.99, 0.95)
@@ -86,7 +86,7 @@ def test_what_reset_rows_hold_does_not_matter():
     assert np.all(np.asarray(clean)[~valid] == 0)
 
 
-def test_episode_ending_with_the_last_row_bootstraps_from_its_own_end_when_never_ending():
+def test_generalized_advantage_done_in_last_row_bootstraps_only_if_not_episodic():
     one = jnp.ones((1, 1))
     value = jnp.array([[2.0], [5.0]])
     true = jnp.ones((1, 1), bool)

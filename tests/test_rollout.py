@@ -17,7 +17,7 @@ from sndjax.rollout import (
 ATARI = KINDS[0]
 
 
-def test_transitions_are_the_rows_of_the_rollout():
+def test_gather_transitions_any_index_gives_rows_of_rollout():
     made = rollout(ATARI, np.random.default_rng(0), steps=5, envs=3)
     index = jnp.array([7, 0, 14, 7])
     batch = gather_transitions(made, index)
@@ -29,7 +29,7 @@ def test_transitions_are_the_rows_of_the_rollout():
             assert getattr(batch, name)[row] == getattr(made, name)[t, n]
 
 
-def test_consecutive_rows_are_the_same_rows_with_each_frame_once():
+def test_slice_transitions_has_each_frame_once_and_equals_gather_transitions():
     made = rollout(ATARI, np.random.default_rng(0), steps=5, envs=3)
     for start, rows in ((0, 6), (3, 9), (4, 5), (2, 2)):
         got = slice_transitions(made, jnp.int32(start), rows)
@@ -39,7 +39,7 @@ def test_consecutive_rows_are_the_same_rows_with_each_frame_once():
             np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
 
 
-def test_without_invalid_clears_the_rows_that_do_not_count_and_no_others():
+def test_zero_invalid_rows_clears_invalid_rows_and_no_others():
     made = rollout(KINDS[2], np.random.default_rng(0), chance=0.5)
     batch = gather_transitions(made, jnp.arange(made.action.size))
     dirty = batch._replace(
@@ -55,12 +55,12 @@ def test_without_invalid_clears_the_rows_that_do_not_count_and_no_others():
 
 @pytest.mark.parametrize("stack", [FrameStack(4, True), FrameStack(2, False), FrameStack(1, True)])
 @pytest.mark.parametrize("seed", range(5))
-def test_stacks_of_a_minibatch_are_those_pushed_while_acting(stack, seed):
+def test_make_frame_stacker_minibatch_equals_stacks_pushed_while_acting(stack, seed):
     rng = np.random.default_rng(seed)
     steps, envs = 12, 3
     batch = experience(ATARI, rng, steps, envs, stack.size)
     made = batch.rollout
-    # What acting saw: the window before this rollout, then one frame after another.
+    # The stacks while acting: the window before this rollout, then one frame after another.
     window = jnp.concatenate([batch.history[:1], batch.history, made.frames[:1]])[-stack.size :]
     window = jnp.concatenate([window[:1], window[:-1]])
     seen = []
@@ -76,7 +76,7 @@ def test_stacks_of_a_minibatch_are_those_pushed_while_acting(stack, seed):
     np.testing.assert_array_equal(got[valid], wanted[index][valid])
 
 
-def test_a_new_episode_sees_nothing_of_the_one_before():
+def test_push_frame_new_episode_holds_no_frame_of_the_last_one():
     old, new = jnp.full((3, 2, 1), 7, jnp.uint8), jnp.full((2, 1), 9, jnp.uint8)
     first = jnp.array([True, False])
     repeated = push_frame(old, new, first, True)
@@ -88,7 +88,7 @@ def test_a_new_episode_sees_nothing_of_the_one_before():
 
 
 @pytest.mark.parametrize(("steps", "envs"), [(7, 3), (6, 400), (1, 1)])
-def test_map_steps_applies_to_every_frame(steps, envs):
+def test_map_over_time_any_shape_applies_to_every_frame(steps, envs):
     x = np.random.default_rng(0).normal(size=(steps, envs, 2)).astype(np.float32)
     got = map_over_time(lambda frames: frames.sum(-1), jnp.asarray(x))
     np.testing.assert_allclose(got, x.sum(-1), rtol=1e-5)

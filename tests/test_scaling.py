@@ -9,7 +9,7 @@ from sndjax.statistics import init_return_statistics
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 2))
-def test_the_thesis_scale_is_a_clip(seed, eta):
+def test_scale_reward_none_multiplies_by_eta_and_clips_at_one(seed, eta):
     signal = np.random.default_rng(seed).exponential(size=(5, 3)).astype(np.float32)
     valid = jnp.ones((5, 3), bool)
     scale = init_return_statistics(3)
@@ -20,7 +20,7 @@ def test_the_thesis_scale_is_a_clip(seed, eta):
     assert after is scale
 
 
-def test_running_std_divides_by_the_deviation_of_the_discounted_sum_over_time():
+def test_scale_reward_running_std_divides_by_std_of_discounted_sums():
     rng = np.random.default_rng(0)
     signal = rng.exponential(size=(2, 6, 3)).astype(np.float32)
     valid = rng.random((2, 6, 3)) < 0.8

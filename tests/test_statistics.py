@@ -37,7 +37,7 @@ jitted_update = jax.jit(update_running_statistics)
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from([1, 5]), min_size=1, max_size=4))
-def test_moments_are_those_of_all_valid_samples_however_they_are_split(seed, lengths):
+def test_update_running_statistics_any_split_equals_all_valid_samples(seed, lengths):
     rng = np.random.default_rng(seed)
     moments, seen = init_running_statistics((2,)), []
     for length in lengths:
@@ -53,7 +53,7 @@ def test_moments_are_those_of_all_valid_samples_however_they_are_split(seed, len
         np.testing.assert_allclose(moments.m2 / len(seen), seen.var(0), atol=1e-4)
 
 
-def test_moments_take_in_pixels_through_a_conversion():
+def test_update_running_statistics_pixels_with_conversion_equals_numpy():
     x = np.random.default_rng(0).integers(0, 256, (5, 4, 6), dtype=np.uint8)
     moments = update_running_statistics(
         init_running_statistics((6,)),
@@ -65,23 +65,23 @@ def test_moments_take_in_pixels_through_a_conversion():
     np.testing.assert_allclose(std(moments), (x / 255).std((0, 1)), rtol=1e-4)
 
 
-def test_long_streams_keep_their_precision():
+def test_update_running_statistics_32_million_samples_keeps_precision():
     moments = init_running_statistics(())
     x, valid = jnp.full((64, 256), 0.1), jnp.ones((64, 256), bool)
     x = x.at[:, ::2].set(0.3)
     step = jax.jit(update_running_statistics)
-    for _ in range(2000):  # 32 million samples, past what float32 can count one by one
+    for _ in range(2000):  # 32 million samples, more than float32 can count one by one
         moments = step(moments, x, valid)
     np.testing.assert_allclose(moments.mean, 0.2, rtol=1e-4)
     np.testing.assert_allclose(std(moments), 0.1, rtol=1e-3)
 
 
-def test_return_scale_is_a_brute_force_filter_over_time():
+def test_update_return_statistics_two_rollouts_equals_brute_force():
     rng = np.random.default_rng(0)
     reward = rng.random((2, 7, 3)).astype(np.float32)
     valid = rng.random((2, 7, 3)) < 0.8
     scale, sums, seen = init_return_statistics(3), np.zeros(3), []
-    for part in range(2):  # the sum goes on from rollout to rollout
+    for part in range(2):  # the discounted sum continues from rollout to rollout
         scale = update_return_statistics(
             scale, jnp.asarray(reward[part]), jnp.asarray(valid[part]), 0.9
         )

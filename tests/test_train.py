@@ -22,7 +22,7 @@ RUNS += [("ppo", KINDS[0]), ("snd_std", KINDS[0]), ("rnd", KINDS[1]), ("sp", KIN
 
 
 @pytest.mark.parametrize(("name", "kind"), RUNS, ids=lambda x: getattr(x, "name", x))
-def test_one_step_is_finite_and_moves_what_it_should(name, kind):
+def test_train_step_one_call_is_finite_and_changes_trained_parameters(name, kind):
     _, state, step = made(name, kind)
     after, metrics, int_reward = step(state, batch_for(kind, heads=heads(name)))
     for key, value in metrics.items():
@@ -37,7 +37,7 @@ def test_one_step_is_finite_and_moves_what_it_should(name, kind):
         lambda a, b: a.ndim < 2 or bool(jnp.any(a != b)), state.intrinsic, after.intrinsic
     )
     assert all(jax.tree.leaves(changed))
-    # State in, state out: shapes and dtypes stay, so that buffers can be donated.
+    # The state keeps its shapes and dtypes, so that its buffers can be donated.
     same = jax.tree.map(lambda a, b: a.shape == b.shape and a.dtype == b.dtype, state, after)
     assert all(jax.tree.leaves(same))
     if name == "rnd":
@@ -49,8 +49,8 @@ def test_one_step_is_finite_and_moves_what_it_should(name, kind):
     [("ppo", KINDS[2]), ("rnd", KINDS[1]), ("snd_std", KINDS[0]), ("sp_vinv", KINDS[2])],
     ids=lambda x: getattr(x, "name", x),
 )
-def test_reset_rows_full_of_garbage_change_no_gradient_and_no_metric(name, kind):
-    """Everything a reset row holds, except the frames it shares with its neighbours."""
+def test_train_step_garbage_in_reset_rows_changes_no_parameter_and_no_metric(name, kind):
+    """Fill everything in a reset row, except the frames that it shares with its neighbours."""
     _, state, step = made(name, kind)
 
     @settings(deadline=None, max_examples=5, database=None)
@@ -84,8 +84,8 @@ def test_reset_rows_full_of_garbage_change_no_gradient_and_no_metric(name, kind)
     check()
 
 
-def test_lone_frames_of_reset_rows_are_never_seen():
-    """Two resets in a row share no frame with a transition: what is between does not matter."""
+def test_train_step_frame_between_two_reset_rows_is_never_read():
+    """Of two reset rows in succession, no transition reads the frame between them."""
     kind = KINDS[2]
     for name in ("rnd", "snd_vic"):
         _, state, step = made(name, kind)
@@ -110,7 +110,7 @@ def test_lone_frames_of_reset_rows_are_never_seen():
     [("snd_std", KINDS[0]), ("ppo", KINDS[2])],
     ids=lambda x: getattr(x, "name", x),
 )
-def test_a_seed_among_others_learns_what_it_learns_alone(name, kind):
+def test_map_over_seeds_two_seeds_equal_each_seed_by_itself(name, kind):
     agent, _, _ = made(name, kind)
     seeds = [5, 6]
     states = init_states(agent, seeds, example(kind))
@@ -130,7 +130,7 @@ def test_a_seed_among_others_learns_what_it_learns_alone(name, kind):
         equal(got[0].policy, of_many[0].policy, rtol=1e-2, atol=3e-4)
 
 
-def test_it_is_traced_once_however_often_it_runs():
+def test_train_step_four_calls_are_traced_once():
     kind, traces = KINDS[2], []
     agent, state, _ = made("snd_vic", kind)
     train_step = sndjax.make_train_step(agent)
@@ -150,11 +150,11 @@ def test_it_is_traced_once_however_often_it_runs():
     [("rnd", KINDS[1]), ("snd_std", KINDS[0]), ("snd_vic", KINDS[2])],
     ids=lambda x: getattr(x, "name", x),
 )
-def test_on_a_fixed_rollout_the_distillation_loss_falls_over_ten_updates(name, kind):
-    """The module's own training on one rollout, read against its target after ten updates.
+def test_update_intrinsic_module_ten_updates_lower_distillation_loss(name, kind):
+    """Train the module on one rollout, and compare each copy with the target after ten updates.
 
-    An SND target moves while it is copied, and as its features grow so does the loss: what
-    ten updates must bring is a copy that is nearer to the target than the first one.
+    An SND target changes while it is copied, and its loss grows with its features. So the test
+    is whether the last copy is nearer to the last target than the first copy.
     """
     agent, state, _ = made(name, kind)
     batch = batch_for(kind)
@@ -176,12 +176,12 @@ def test_on_a_fixed_rollout_the_distillation_loss_falls_over_ten_updates(name, k
 
     values = [float(against_the_last_target(copy)) for copy in copies]
     assert values[-1] < values[0]
-    if name == "rnd":  # its target stays, so that the run's own losses must fall
+    if name == "rnd":  # its target is fixed, so the losses of the training itself must fall
         assert np.mean(losses[-3:]) < np.mean(losses[:3])
 
 
 @pytest.mark.parametrize("signal", ["re3", "e3b"])
-def test_a_signal_that_trains_nothing_on_a_frozen_encoder_is_a_bonus_too(signal):
+def test_train_step_re3_or_e3b_on_frozen_encoder_gives_bonus_without_training(signal):
     kind = KINDS[2]
     agent, _, _ = made("rnd", kind)
     module = sndjax.make_module("none", signal, kind.actions, kind.size)
@@ -197,8 +197,8 @@ def test_a_signal_that_trains_nothing_on_a_frozen_encoder_is_a_bonus_too(signal)
     equal(state.intrinsic_state.encoder, after.intrinsic_state.encoder)
 
 
-def test_the_published_mask_is_done_the_wrong_way_round():
-    """r - V within episodes, and a bootstrap across their ends (by hand, one environment)."""
+def test_compute_advantages_published_mask_inverts_done():
+    """Compare with r - V within an episode and a bootstrap across its end, by hand."""
     from sndjax.ppo import compute_advantages
 
     no, yes = jnp.zeros((3, 1), bool), jnp.ones((3, 1), bool)
@@ -217,7 +217,7 @@ def test_the_published_mask_is_done_the_wrong_way_round():
     )
 
 
-def test_acting_is_sampled_from_the_policy_and_random_actions_are_rare():
+def test_act_samples_the_policy_and_executes_given_share_of_random_actions():
     kind = KINDS[2]
     agent, state, _ = made("snd_vic", kind)
     agent = agent._replace(random_action=0.25)
@@ -242,7 +242,7 @@ def test_acting_is_sampled_from_the_policy_and_random_actions_are_rare():
     assert np.any(decision.action != other.action)
 
 
-def test_unbounded_components_are_divided_by_what_was_seen_before_this_iteration():
+def test_train_step_unbounded_inputs_are_divided_by_std_of_earlier_iterations():
     kind = KINDS[2]
     agent, _, _ = made("rnd", kind)
     agent = agent._replace(unbounded=(True, False, True, False, False))
@@ -252,7 +252,7 @@ def test_unbounded_components_are_divided_by_what_was_seen_before_this_iteration
     scaled, _, _ = step(state, batch)
     seen = np.asarray(batch.rollout.frames[:-1])[np.asarray(batch.rollout.valid)]
     np.testing.assert_allclose(scaled.observations.mean, seen.mean(0), rtol=1e-4, atol=1e-6)
-    # The first iteration divides by 1; the second by what the first saw.
+    # The first iteration divides by 1; the second by the statistics of the first.
     _, metrics, _ = step(scaled, batch)
     divided = np.where([True, False, True, False, False], seen.std(0), 1).astype(np.float32)
     by_hand = batch._replace(

@@ -1,4 +1,4 @@
-"""The wheel in a fresh environment: used from an empty folder, and from one that shadows our names."""
+"""The wheel in a fresh environment, used from an empty folder and from one that shadows us."""
 
 import os
 import shutil
@@ -95,7 +95,8 @@ def test_installed_command_runs_sweeps_and_reports_in_any_folder(installed, fold
 
 
 def test_installed_module_is_not_called_experiments(installed, tmp_path):
-    code = "import importlib.util as u; print(u.find_spec('experiments'), u.find_spec('sndjax_lab').name)"
+    code = "from importlib.util import find_spec as find; "
+    code += "print(find('experiments'), find('sndjax_lab').name)"
     python = [str(installed / "python"), "-c", code]
     done = subprocess.run(python, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["None", "sndjax_lab"]

@@ -6,9 +6,9 @@ from ..training.feature_spectrum import COMPARED, PERCENTILES, eigenvalues
 
 
 def feature_rank(z: np.ndarray) -> int:
-    """The number of linearly independent dimensions: of the R of a QR decomposition.
+    """Return the rank of the features: the number of independent rows of R of a QR decomposition.
 
-    What is smaller than the rounding of the features' own dtype is none.
+    Singular values below the rounding error of the features' dtype count as zero.
 
     >>> feature_rank(np.array([[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]))
     1
@@ -30,15 +30,15 @@ def pairwise_distances(x: np.ndarray) -> np.ndarray:
 
 
 def geometry_figures(z: np.ndarray, follows: np.ndarray) -> dict[str, float]:
-    """A row of Tables 5.9 and 5.10.
+    """Compute a row of Tables 5.9 and 5.10.
 
     Args:
       z: float[M, d], features of states in order.
-      follows: bool[M - 1], whether state m + 1 is the successor of state m.
+      follows: bool[M - 1], True where state m + 1 is the successor of state m.
 
     Returns:
-      Of the first `COMPARED` states mean and deviation of ||z_t+1 - z_t|| and of ||z||, and
-      percentiles of the eigenvalues; the rank of all, and d.
+      For the first `COMPARED` states: mean and standard deviation of ||z_t+1 - z_t|| and of ||z||,
+      and percentiles of the eigenvalues. For all states: the rank, and d.
     """
     first = np.asarray(z[:COMPARED], np.float64)
     step = np.linalg.norm(np.diff(first, axis=0), axis=1)[follows[: len(first) - 1]]

@@ -19,7 +19,13 @@ def evenly_spaced(x: np.ndarray) -> np.ndarray:
 
 
 def plot_distances(frames: np.ndarray, spaces: Spaces, out: Path) -> Path:
-    """Fig. 5.7: pairwise distances of states and of their features, each over its own range."""
+    """Draw Fig. 5.7: pairwise distances of states and of features, each over its own range.
+
+    Args:
+      frames: [M, *frame], the states.
+      spaces: the features by run.
+      out: where the picture goes.
+    """
     shown = {"states": frames} | spaces
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
@@ -39,7 +45,15 @@ def plot_distances(frames: np.ndarray, spaces: Spaces, out: Path) -> Path:
 def plot_tsne(
     spaces: Spaces, room: np.ndarray | None, seed: int, out: Path, bars: ProgressBars
 ) -> Path:
-    """Fig. 5.8: t-SNE of the features, coloured by room (by order where there are no rooms)."""
+    """Draw Fig. 5.8: t-SNE of the features, coloured by room, or by order without rooms.
+
+    Args:
+      spaces: the features by run.
+      room: int[M], or None.
+      seed: of t-SNE.
+      out: where the picture goes.
+      bars: the progress display.
+    """
     from sklearn.manifold import TSNE
 
     columns = min(3, len(spaces))
@@ -67,7 +81,13 @@ def plot_tsne(
 
 
 def plot_eigenvalues(spaces: Spaces, algos: dict[str, str], out: Path) -> Path:
-    """Fig. 5.9 and 5.10: the eigenvalues in descending order, on a logarithmic axis."""
+    """Draw Fig. 5.9 and 5.10: the eigenvalues in descending order, on a logarithmic axis.
+
+    Args:
+      spaces: the features by run.
+      algos: the algorithm of each run, for its line style.
+      out: where the picture goes.
+    """
     figure, ((axes,),) = make_panels(1, 1)
     for name, z in spaces.items():
         spectrum = geometry.eigenvalues(z[: geometry.COMPARED])

@@ -39,7 +39,7 @@ def check_runs(runs: list[Path], trajectory: bool, agent: Path | None) -> None:
       agent: the run whose agent collects states.
     """
     if not runs:
-        raise ConfigError("say which runs: sndjax analyze RUN_DIR...")
+        raise ConfigError("give the runs: sndjax analyze RUN_DIR...")
     envs = []
     for run in runs:
         if not (run / CONFIG).is_file():
@@ -59,23 +59,23 @@ def check_runs(runs: list[Path], trajectory: bool, agent: Path | None) -> None:
         if envs[0].id != recorded.id or seen != recorded.options:
             raise ConfigError(f"trajectory: it is of env=MontezumaRevenge, not of {envs[0].id}")
     if agent is not None and agent not in runs:
-        raise ConfigError(f"agent={agent}: it is none of the runs given")
+        raise ConfigError(f"agent={agent}: it is not one of the given runs")
 
 
 def training_returns(run: Path) -> dict[int, np.ndarray]:
-    """The external returns of the training episodes, by seed."""
+    """Return the external returns of the training episodes, by seed."""
     return {seed.seed: seed.episodes["ext_return"] for seed in read_run(run).seeds}
 
 
 def best_key(returns: dict[Any, np.ndarray]) -> Any:
-    """The key with the highest return over its last hundred episodes."""
+    """Return the key with the highest mean return over its last hundred episodes."""
     last = lambda key: float(np.mean(returns[key][-100:]))
     there = [key for key in returns if len(returns[key])]
     return max(there, key=last) if there else next(iter(returns))
 
 
 def run_names(players: list[Player]) -> list[str]:
-    """A name for each run: its algorithm, numbered where there are several."""
+    """Return a name for each run: its algorithm, numbered if several runs have the same."""
     algos = [player.config.algo.name for player in players]
     return [
         algo if algos.count(algo) == 1 else f"{algo} #{algos[: i + 1].count(algo)}"
@@ -84,7 +84,13 @@ def run_names(players: list[Player]) -> list[str]:
 
 
 def table_row(name: str, found: dict[str, float], most: float) -> list[str]:
-    """Our row of the table."""
+    """Format our row of the table.
+
+    Args:
+      name: of the run and the network.
+      found: the figures of `geometry_figures`.
+      most: the highest external return in training, or NaN.
+    """
     return [
         name,
         "" if np.isnan(most) else f"{most:g}",
@@ -96,7 +102,7 @@ def table_row(name: str, found: dict[str, float], most: float) -> list[str]:
 
 
 def thesis_row(env: str, algo: str) -> list[str] | None:
-    """The thesis' row of this cell, if it has one."""
+    """Return the thesis' row for an environment and an algorithm; None if it has none."""
     for table in ("5.9", "5.10"):
         known = thesis_numbers(table)
         if (env, algo, "l2_norm") in known:

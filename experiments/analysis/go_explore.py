@@ -22,7 +22,7 @@ X, Y, INVENTORY = 42, 43, 65  # bytes of RAM
 
 
 class Node(NamedTuple):
-    """A cell's first visit: how it was come to, and the emulator as it stood then."""
+    """A cell's first visit: the path to it, and the emulator state at that time."""
 
     parent: int  # -1: the start
     actions: bytes  # from there
@@ -48,14 +48,14 @@ class Emulator:
         self.ale.act(self.legal[0])  # the no-op that `noop_max=1` plays
 
     def step(self, action: int) -> np.ndarray:
-        """The RAM after four emulator frames."""
+        """Run four emulator frames with an action, and return the RAM."""
         for _ in range(4):
             self.ale.act(self.legal[action])
         return self.ale.getRAM()
 
 
 def cell_of(ram: np.ndarray) -> tuple[int, ...]:
-    """What two states must share to be one cell."""
+    """Return the cell of a state: room, coarse position and inventory."""
     return int(ram[MONTEZUMA_ROOM]), int(ram[X]) // 8, int(ram[Y]) // 8, int(ram[INVENTORY])
 
 
@@ -76,7 +76,7 @@ class Search:
         )  # walks from, rooms on the way
 
     def walk(self, start: Node) -> Iterator[tuple[bytes, np.ndarray]]:
-        """Random actions from a cell: those so far and the RAM, until a life is lost."""
+        """Yield the random actions so far and the RAM, from a cell until a life is lost."""
         ale, actions, action = self.emulator.ale, bytearray(), 0
         ale.restoreState(start.state)
         lives = ale.lives()
@@ -90,7 +90,7 @@ class Search:
             yield bytes(actions), ram
 
     def explore(self, start: int) -> None:
-        """Walk from a cell; every cell that nobody saw before joins the archive."""
+        """Walk from a cell, and add every new cell to the archive."""
         self.chosen[start] += 1
         parent, before = start, 0
         for actions, ram in self.walk(self.nodes[start]):
@@ -101,7 +101,13 @@ class Search:
                 parent, before = len(self.nodes) - 1, len(actions)
 
     def add(self, parent: int, actions: bytes, room: int) -> None:
-        """The emulator stands at a new end of a way."""
+        """Add the current emulator state to the archive.
+
+        Args:
+          parent: the node that the walk came from.
+          actions: from there.
+          room: that it ended in.
+        """
         came = self.nodes[parent]
         depth, rooms = came.depth + len(actions), came.rooms | {room}
         state = self.emulator.ale.cloneState()
@@ -109,17 +115,17 @@ class Search:
         self.nodes.append(Node(parent, actions, state, depth, rooms))
 
     def choose(self) -> int:
-        """A cell, more often one seldom chosen, and one with many rooms on the way to it."""
+        """Draw a node, with more weight on those seldom chosen and those with many rooms."""
         weight = self.reach[: len(self.nodes)] / np.sqrt(self.chosen[: len(self.nodes)] + 1)
         return int(np.searchsorted(np.cumsum(weight), self.draw.random() * weight.sum()))
 
     def best(self) -> int:
-        """The cell with the most rooms on the way to it; of those the one farthest away."""
+        """Return the node with the most rooms on the way to it; of equal ones, the deepest."""
         reached = [(len(node.rooms), node.depth) for node in self.nodes]
         return max(range(len(reached)), key=reached.__getitem__)
 
     def lengthen(self) -> int:
-        """Go on from the best cell to the last state, by walks that end alive and see most."""
+        """Extend the best path with the random walk that survives and visits the most cells."""
         ends = [self.best()]
         while ends[0]:
             ends.insert(0, self.nodes[ends[0]].parent)
@@ -139,7 +145,7 @@ class Search:
         return ends[-1]
 
     def actions(self, node: int) -> bytes:
-        """All actions from the start to a cell."""
+        """Return all actions from the start to a node."""
         parts = []
         while node >= 0:
             parts.append(self.nodes[node].actions)
@@ -148,7 +154,15 @@ class Search:
 
 
 def search_path(seed: int, deadline: float) -> tuple[int, bytes]:
-    """The number of rooms and the actions that one search found."""
+    """Search for a path until the deadline.
+
+    Args:
+      seed: of the random actions.
+      deadline: as `time.time()` counts.
+
+    Returns:
+      The number of rooms on the path, and its actions.
+    """
     search, said = Search(seed), time.time()
     while time.time() < deadline:
         search.explore(search.choose())

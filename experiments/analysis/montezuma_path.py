@@ -29,13 +29,13 @@ class Trajectory(NamedTuple):
 
 
 def deterministic_env_config() -> EnvConfig:
-    """The environment as experiments see it, but for the controller: it does not stick."""
+    """Return the environment of the experiments, without sticky actions."""
     env = load_config(["env=MontezumaRevenge", "algo=ppo"]).env
     return replace(env, options={**env.options, "repeat_action_probability": 0.0})
 
 
 def play_actions(actions: bytes) -> Trajectory:
-    """The frames that an action list leads to, by envpool."""
+    """Play a list of actions with envpool, and return the trajectory."""
     pool = make_pool(deterministic_env_config(), [0], 1)
     frames, rooms = [pool.reset()[0, 0]], []
     for action in actions:
@@ -49,15 +49,15 @@ def play_actions(actions: bytes) -> Trajectory:
 
 
 def trajectory_digest(walk: Trajectory) -> str:
-    """The SHA-256 of its frames."""
+    """Return the SHA-256 of the frames of a trajectory."""
     return hashlib.sha256(walk.frames.tobytes()).hexdigest()
 
 
 def load_committed_trajectory(path: Path = DATA) -> Trajectory:
-    """The committed trajectory.
+    """Play the committed list of actions, and return the trajectory.
 
     Raises:
-      ConfigError: its actions lead elsewhere than they did.
+      ConfigError: the actions lead to other frames than when they were committed.
     """
     stored = json.loads(path.read_text())
     walk = play_actions(bytes(ACTION_LETTERS.index(letter) for letter in stored["actions"]))

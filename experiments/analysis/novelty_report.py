@@ -73,7 +73,7 @@ def study_id(settings: StudySettings, name: str, digest: str) -> dict[str, Any]:
 
 
 def read_study(path: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
-    """A module's study, if it is there and was made with these settings."""
+    """Return the cached study of a module; None if there is none with these settings."""
     try:
         stored = json.loads(path.read_text())
     except (OSError, ValueError):
@@ -83,7 +83,13 @@ def read_study(path: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def make_studies(settings: StudySettings, walk: Trajectory, out: Path) -> dict[str, dict[str, Any]]:
-    """Every module's study, from the disk or made now."""
+    """Return the study of every module, read from the disk or made now.
+
+    Args:
+      settings: of all studies.
+      walk: the trajectory.
+      out: where studies are cached.
+    """
     found = {}
     total = len(walk.action)
     with ProgressBars() as bars:
@@ -111,7 +117,7 @@ def make_studies(settings: StudySettings, walk: Trajectory, out: Path) -> dict[s
 
 
 def find_novelty_peaks(n: list[int], near: list[float]) -> np.ndarray:
-    """The steps at which the near future was most novel, in order: where its logarithm peaks."""
+    """Return the steps, in order, where the logarithm of the near future's signal peaks."""
     from scipy.signal import find_peaks
 
     where, how = find_peaks(np.log(near), prominence=0.05, distance=3)
@@ -120,7 +126,14 @@ def find_novelty_peaks(n: list[int], near: list[float]) -> np.ndarray:
 
 
 def draw_study(name: str, stored: dict[str, Any], walk: Trajectory, out: Path) -> Path:
-    """A panel of Fig. 5.11: the windows' signals along the trajectory, and the states at peaks."""
+    """Draw a panel of Fig. 5.11: the signal of every window, and the states at the peaks.
+
+    Args:
+      name: of the module.
+      stored: its study.
+      walk: the trajectory.
+      out: where the picture goes.
+    """
     figure, axes = make_panels(2, 1, 8.4, 5.4, height_ratios=[3, 1.3])
     top, bottom = axes[:, 0]
     for window, about in ABOUT.items():
@@ -150,7 +163,7 @@ def draw_study(name: str, stored: dict[str, Any], walk: Trajectory, out: Path) -
 
 
 def first_visits(walk: Trajectory) -> list[int]:
-    """The steps at which each room but the first is seen for the first time."""
+    """Return the steps at which a new room is entered for the first time."""
     _, first = np.unique(walk.room, return_index=True)
     return sorted(int(step) + 1 for step in first)[1:]
 
@@ -165,7 +178,7 @@ HEAD = (
 
 
 def study_rows(found: dict[str, dict[str, Any]], walk: Trajectory) -> list[list[str]]:
-    """The claim in numbers, a row a module."""
+    """Return the rows of the table: for each module, the claims of Fig. 5.11 in numbers."""
     rows = []
     for name, stored in found.items():
         means = np.array([stored[window] for window in WINDOWS]).T

@@ -33,7 +33,13 @@ class StudyState(NamedTuple):
 
 
 def gather_runs(walk: Trajectory, start: np.ndarray, steps: int) -> Rollout:
-    """Runs of consecutive pairs from each start m, int[..., N], as a rollout [..., steps, N]."""
+    """Gather runs of consecutive pairs as a rollout [..., steps, N].
+
+    Args:
+      walk: the trajectory.
+      start: int[..., N], the first pair of each run.
+      steps: pairs in a run.
+    """
     index = start[..., None, :] + np.arange(steps + 1)[:, None]
     pairs = index[..., :-1, :]
     no, yes = np.zeros(pairs.shape, bool), np.ones(pairs.shape, bool)
@@ -42,9 +48,14 @@ def gather_runs(walk: Trajectory, start: np.ndarray, steps: int) -> Rollout:
 
 
 def draw_windows(n: int, last: int, draw: np.random.Generator) -> list[np.ndarray]:
-    """Which pairs each of `WINDOWS` reads at step n, of the pairs 0 ... last.
+    """Return the pairs that each of `WINDOWS` reads at step n.
 
-    The near future, n < m < n + 128, is all there; of the others some are drawn.
+    The near future, n < m < n + 128, is complete; from the other windows some pairs are drawn.
+
+    Args:
+      n: the step.
+      last: the number of the last pair.
+      draw: the random generator.
     """
     return [
         draw.integers(0, n, DRAWN),
@@ -103,18 +114,18 @@ def study_module(
     seed: int,
     report: Callable[[int], None] = lambda n: None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Go along a trajectory with a module of this name.
+    """Train a module along a trajectory, and read its signal on the way.
 
     Args:
       name: of an algorithm.
       walk: the trajectory, M states.
-      train_every, read_every: states between gradient steps, and between readings; the one
-        divides the other.
+      train_every: states between gradient steps.
+      read_every: states between readings; a multiple of `train_every`.
       seed: of the weights and the draws.
       report: called with the step n.
 
     Returns:
-      Where the signal was read, int[R], and its mean in each of `WINDOWS`, float[R, 4].
+      The steps where the signal was read, int[R], and its mean in each of `WINDOWS`, float[R, 4].
     """
     begin, advance = make_study_steps(name)
     draw, key = np.random.default_rng(seed), jax.random.key(seed)
@@ -142,15 +153,16 @@ def study_module(
 
 
 def study_figures(where: np.ndarray, means: np.ndarray, visits: list[int]) -> dict[str, float]:
-    """What Fig. 5.11 claims, in numbers.
+    """Compute what Fig. 5.11 claims, in numbers.
 
     Args:
-      where, means: of a `study_module`.
-      visits: the steps at which a room is seen for the first time.
+      where: the steps of a `study_module`.
+      means: its means.
+      visits: the steps at which a room is entered for the first time.
 
     Returns:
       far_over_past: the far future's signal over the past's, the median of the readings.
-      far_over_past_last_quarter: the same of the last quarter of the readings.
+      far_over_past_last_quarter: the same for the last quarter of the readings.
       near_last_over_first: the near future's mean in the last quarter over that in the first.
       new_room_ahead: the probability that near over past is higher at a step with a new room in
         its near future than at one without; 0.5 is chance, NaN without such steps.

@@ -34,14 +34,21 @@ class States(NamedTuple):
         return self.age[1:] > 0
 
     def cut(self, count: int) -> "States":
-        """The first states."""
+        """Return the first states."""
         return States._make(None if x is None else x[:count] for x in self)
 
 
 def collect_states(
     player: Player, count: int, seed: int, report: Callable[[int], None] = lambda count: None
 ) -> States:
-    """The states of whole episodes, the policy's actions sampled, until there are enough."""
+    """Collect the states of whole episodes, with sampled actions, until there are enough.
+
+    Args:
+      player: the agent.
+      count: states to collect.
+      seed: of the environments.
+      report: called with the number of states so far.
+    """
     parts: list[States] = []
     total = 0
     while total < count:
@@ -60,7 +67,7 @@ def collect_states(
 
 
 def trajectory_states(count: int) -> States:
-    """The states of the committed trajectory through Montezuma's Revenge."""
+    """Return the first states of the committed trajectory through Montezuma's Revenge."""
     walk = load_committed_trajectory()
     room = np.concatenate([walk.room[:1], walk.room]).astype(int)
     action = np.append(walk.action, 0).astype(np.int32)
@@ -68,7 +75,7 @@ def trajectory_states(count: int) -> States:
 
 
 def apply_in_batches(function: Callable[..., Any], *arrays: np.ndarray) -> np.ndarray:
-    """A jitted function of `BATCH` rows, of all rows; the last batch is filled up."""
+    """Apply a jitted function of `BATCH` rows to all rows; the last batch is padded."""
     parts = []
     for start in range(0, len(arrays[0]), BATCH):
         own = [x[start : start + BATCH] for x in arrays]
@@ -79,7 +86,7 @@ def apply_in_batches(function: Callable[..., Any], *arrays: np.ndarray) -> np.nd
 
 
 def encode_states(player: Player, states: States) -> np.ndarray | None:
-    """What the module's encoder makes of the states, float32[M, d]; None of the baseline.
+    """Return the encoder's features of the states, float32[M, d]; None for the baseline.
 
     Raises:
       ConfigError: this module has no features to show.

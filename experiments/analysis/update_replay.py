@@ -22,10 +22,10 @@ from ..training.rollouts import experience_spec
 
 
 def dump_config(dump: Path, arguments: list[str]) -> Config:
-    """The configuration that a dump was made with; the arguments may only repeat it.
+    """Return the configuration of a dump; the arguments may only repeat it.
 
     Raises:
-      ConfigError: this is no dump, or it names code.
+      ConfigError: this is not a dump, or it names code.
     """
     try:
         text = read_manifest(dump)["config"]
@@ -37,7 +37,7 @@ def dump_config(dump: Path, arguments: list[str]) -> Config:
 
 
 def load_dump(dump: Path, config: Config) -> tuple[Experiment, TrainState, Experience]:
-    """The agent, and from the dump the state of every seed and its batch, leaves [S, ...].
+    """Return the agent, the state of every seed and its batch, leaves [S, ...].
 
     Raises:
       ConfigError: the dump is damaged.
@@ -57,7 +57,7 @@ def load_dump(dump: Path, config: Config) -> tuple[Experiment, TrainState, Exper
 
 
 def nonfinite_leaves(tree: Any) -> Iterator[str]:
-    """The arrays of a pytree that hold numbers that are not finite."""
+    """Yield a line for every array of a pytree that holds a number that is not finite."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         if np.issubdtype(leaf.dtype, np.inexact):
             count = int(np.sum(~np.isfinite(leaf)))
@@ -100,7 +100,7 @@ def replay_update(experiment: Experiment, state: TrainState, batch: Experience) 
 
 
 def error_place(error: BaseException) -> str:
-    """The innermost line of code outside jax and its like that an error came through."""
+    """Return the innermost line of code outside installed packages that an error came through."""
     found, trace = "", error.__traceback__
     while trace is not None:
         file = Path(trace.tb_frame.f_code.co_filename)

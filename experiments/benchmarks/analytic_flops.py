@@ -17,14 +17,20 @@ TRAINED = 3  # forward 1 and backward 2
 
 
 def mlp_flops(*widths: int) -> float:
-    """Operations of linear layers, from a width to the next."""
+    """Return the operations of linear layers, from one width to the next."""
     return sum(2.0 * a * b for a, b in itertools.pairwise(widths))
 
 
 def torso_flops(
     convolutions: Sequence[Convolution], hidden: Sequence[int], shape: tuple[int, ...]
 ) -> tuple[float, int, tuple[int, int]]:
-    """Operations on one frame, how many numbers come out, and the local map's (IJ, C)."""
+    """Return the operations on one frame, the number of outputs, and the local map's (IJ, C).
+
+    Args:
+      convolutions: none for vectors.
+      hidden: widths of the hidden layers for vectors.
+      shape: of a frame.
+    """
     if not convolutions:
         return mlp_flops(prod(shape), *hidden), hidden[-1], (1, hidden[-1])
     height, width, channels = shape
@@ -40,14 +46,21 @@ def torso_flops(
 
 
 def encoder_flops(network: Encoder, shape: tuple[int, ...]) -> float:
-    """Operations of an encoder on one frame."""
+    """Return the operations of an encoder on one frame."""
     total, out, _ = torso_flops(network.convolutions, network.hidden, shape)
     d = network.features
     return total + mlp_flops(out + network.num_actions, *[d] * (1 + network.extra))
 
 
 def policy_flops(size: Architecture, stack: tuple[int, ...], num_actions: int, heads: int) -> float:
-    """Operations of the actor-critic on one stack."""
+    """Return the operations of the actor-critic on one stack.
+
+    Args:
+      size: of the networks.
+      stack: the shape of a stack.
+      num_actions: A.
+      heads: K, value heads.
+    """
     total, out, _ = torso_flops(size.convolutions(size.last), size.hidden, stack)
     d = size.features
     return total + mlp_flops(out, d) + mlp_flops(d, d, num_actions) + mlp_flops(d, d, heads)
@@ -56,7 +69,15 @@ def policy_flops(size: Architecture, stack: tuple[int, ...], num_actions: int, h
 def objective_flops(
     name: str, size: Architecture, shape: tuple[int, ...], num_actions: int, rows: int
 ) -> float:
-    """Operations of an objective's loss per row of a minibatch, its encodings apart."""
+    """Return the operations of an objective's loss per row, without its encodings.
+
+    Args:
+      name: of the objective.
+      size: of the networks.
+      shape: of a frame.
+      num_actions: A.
+      rows: of a minibatch.
+    """
     d = size.features
     positions, channels = torso_flops(size.convolutions(size.last), size.hidden, shape)[2]
     return {
@@ -81,10 +102,20 @@ def intrinsic_flops(
     rows: int,
     action_input: bool = False,
 ) -> float | None:
-    """Operations of the motivation module per environment step: its rewards and its pass.
+    """Return the operations of the intrinsic module per environment step: rewards and training.
 
-    None where nobody has worked them out: for signals other than distillation and prediction,
-    for BYOL, and for prediction where the objective does not read pairs.
+    Args:
+      of: the objective.
+      signal: the signal.
+      size: of the networks.
+      shape: of a frame.
+      num_actions: A.
+      rows: of a minibatch.
+      action_input: the networks take the action as input.
+
+    Returns:
+      None where they were not derived: for signals other than distillation and prediction, for
+      BYOL, and for prediction where the objective does not read pairs.
     """
     # Encodings per row: a frozen encoder sees s_t, SND-V's both views of every eighth row as
     # well, and the others learn from s_t and s_t+1.
@@ -114,7 +145,21 @@ def flops_per_step(
     rows: int = 512,
     action_input: bool = False,
 ) -> float | None:
-    """Operations per environment step; with `of` None, of the baseline without a module.
+    """Return the operations per environment step.
+
+    Args:
+      of: the objective; None: the baseline without a module.
+      signal: the signal.
+      size: of the networks.
+      shape: of a frame.
+      stack: frames in a stack.
+      num_actions: A.
+      epochs: of PPO.
+      rows: of a minibatch.
+      action_input: the networks take the action as input.
+
+    Returns:
+      None where `intrinsic_flops` returns None.
 
     >>> from sndjax import ATARI
     >>> f"{flops_per_step('vicreg', 'distillation', ATARI, (96, 96, 1), 4, 18) / 1e9:.2f}"

@@ -1,7 +1,7 @@
 """What the compiled updates compute: operations, bytes and memory of every algorithm's program.
 
-`tests/experiments/benchmarks/test_compiled_cost.py` holds the programs to committed figures, so that
-work that comes back unseen is seen.
+`tests/experiments/benchmarks/test_compiled_cost.py` holds the programs to committed figures, so
+that work that comes back unseen is seen.
 """
 
 import json
@@ -21,7 +21,7 @@ ALGORITHMS = ("ppo", "rnd", "icm", "sp", "snd_vic", "snd_std")
 
 
 def compiled_figures(name: str) -> dict[str, float]:
-    """The figures of one algorithm."""
+    """Compile the update of one algorithm, and return its figures."""
     size, _, _, actions = INPUTS["Atari"]
     make = NAMED[name]
     agent, state, batch = thesis_experiment(make(actions, size) if make else None, "Atari")

@@ -22,7 +22,7 @@ WHOLE, NATIVE = "the batch in one slice", "XLA's own convolution"
 
 
 def convolution_variant(name: str) -> Any:
-    """A context in which networks are made with this variant."""
+    """Return a context in which networks use this implementation."""
     if name == NATIVE:
         return patch.object(networks, "convolve", convolution.convolve_native)
     return patch.object(convolution, "slice_count", lambda images: SLICES.get(name, 1))

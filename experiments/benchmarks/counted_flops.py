@@ -26,7 +26,7 @@ INPUTS = {  # network sizes, a frame, frames in a stack, actions
 def thesis_experiment(
     module: sndjax.IntrinsicModule | None, kind: str
 ) -> tuple[sndjax.AgentSpec, sndjax.TrainState, sndjax.Experience]:
-    """An agent at the thesis configuration, and the shapes of its state and its batch."""
+    """Return an agent at the thesis configuration, and the shapes of its state and batch."""
     size, shape, stack, actions = INPUTS[kind]
     agent = sndjax.AgentSpec(
         network=sndjax.ActorCritic(size, actions, 2 if module else 1),
@@ -47,7 +47,7 @@ def thesis_experiment(
 
 
 def gflop_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
-    """10^9 floating-point operations per environment step, acting and learning."""
+    """Count 10^9 floating-point operations per environment step, acting and learning."""
     agent, state, batch = thesis_experiment(module, kind)
     update = jax.make_jaxpr(sndjax.make_train_step(agent))(state, batch)
     of: Any = jax.ShapeDtypeStruct
@@ -63,7 +63,10 @@ def gflop_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
 
 
 def cost_rows() -> Iterator[tuple[str, list[float]]]:
-    """Yield the costs on both inputs of every named algorithm, every objective with distillation, every signal on VICReg."""
+    """Yield the name of every named algorithm and of many cells, with its costs on both inputs.
+
+    The cells are every objective with distillation, and every signal on VICReg.
+    """
     makers: dict[str, Any] = dict(NAMED)
     makers |= {
         f"{o} x distillation": partial(sndjax.make_module, o, "distillation") for o in OBJECTIVES

@@ -16,14 +16,14 @@ PATIENCE = 600.0  # seconds that a run may take from the signal to its checkpoin
 
 
 def jax_backend() -> str:
-    """What jax computes on, asked in a process that then lets go of it."""
+    """Return the name of the backend of jax, asked in a process that then releases it."""
     code = "import jax; print(jax.default_backend())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     return done.stdout.strip()
 
 
 def wait_for_checkpoint(process: subprocess.Popen[bytes]) -> int:
-    """The status of a run that was sent a SIGTERM; 0 if that ended it."""
+    """Wait for a run that was sent a SIGTERM; return its status, 0 if the signal ended it."""
     try:
         status = process.wait(PATIENCE)
     except subprocess.TimeoutExpired:

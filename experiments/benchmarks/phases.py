@@ -1,7 +1,4 @@
-"""Where the time of an iteration goes: each phase timed on some of its minibatches.
-
-With a whole iteration timed beside them where that is asked for.
-"""
+"""Where the time of an iteration goes: each phase timed on some of its minibatches."""
 
 import json
 import resource
@@ -37,7 +34,7 @@ PHASES = ("environment", "acting", "rewards", "policy", "motivation")
 
 
 def timed_steps(config: Config) -> int:
-    """Steps of the rollout that phases are timed on: the fewest that give `MINIBATCHES` of each."""
+    """Return the length of the rollout that is timed: the shortest with `MINIBATCHES` of each."""
     sizes = (config.ppo.minibatch_size, config.algo.minibatch_size)
     for steps in range(1, config.rollout_length + 1):
         rows = steps * config.num_envs
@@ -47,7 +44,7 @@ def timed_steps(config: Config) -> int:
 
 
 def first_steps(batch: sndjax.Experience, steps: int) -> sndjax.Experience:
-    """The first steps of a batch."""
+    """Return the first steps of a batch."""
     rollout = batch.rollout._replace(frames=batch.rollout.frames[: steps + 1])
     rollout = rollout._replace(**{n: getattr(rollout, n)[:steps] for n in rollout._fields[1:]})
     own = {n: getattr(batch, n)[:steps] for n in ("reward", "truncated", "log_prob")}
@@ -153,7 +150,7 @@ class PhaseBenchmark:
         return module
 
     def repeated(self, phase: Callable[..., Any], name: str) -> float:
-        """The seconds of a jitted phase; a state that is trained goes on to the next."""
+        """Time a jitted phase; a trained state is the input of the next repetition."""
         learns = name != "rewards"
         compiled = jax.jit(phase, donate_argnums=0 if learns else ())
 
@@ -166,7 +163,7 @@ class PhaseBenchmark:
         return self.timer.seconds(work)
 
     def compile_update(self) -> tuple[Any, float, float]:
-        """The whole update, and the seconds that compiling it takes without the cache and with."""
+        """Compile the whole update; return it, and the seconds without the cache and with it."""
         step = jax.jit(self.experiment.make_train_step(), donate_argnums=0)
         gone = []
         for cached in (False, True, True):  # the first with the cache may have to fill it
@@ -179,7 +176,7 @@ class PhaseBenchmark:
         return compiled, gone[0], gone[2]
 
     def whole_seconds(self, update: Any) -> tuple[float, float]:
-        """Collecting and learning of one real iteration, after one that does not count."""
+        """Time collecting and learning of one real iteration, after one that is not counted."""
         for _ in range(2):
             begun = time.perf_counter()
             batch, _ = self.collector.collect(self.actor())
@@ -192,7 +189,13 @@ class PhaseBenchmark:
 def config_gflop_per_step(
     config: Config, agent: sndjax.AgentSpec, shape: tuple[int, ...]
 ) -> float | None:
-    """10^9 operations per environment step, worked out by hand; None where nobody did."""
+    """Return 10^9 analytic operations per environment step; None where they were not derived.
+
+    Args:
+      config: of the run.
+      agent: its networks.
+      shape: of a frame.
+    """
     if config.algo.module is not None:
         return None
     work = flops_per_step(
@@ -210,7 +213,7 @@ def config_gflop_per_step(
 
 
 def measure(config: Config, whole: bool) -> dict[str, Any]:
-    """Everything that is printed."""
+    """Measure everything that is printed."""
     print_line(f"{config.env.name} {config.algo.name}: matrix product, environments, a rollout")
     bench = PhaseBenchmark(config)
     phases = bench.phase_seconds()
@@ -252,7 +255,7 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
 
 
 def phase_table(measured: dict[str, Any]) -> str:
-    """The figures for a person."""
+    """Format the figures as a table."""
     per_1000 = measured["seconds_per_1000_steps"]
     whole = sum(per_1000.values())
     lines = [f"{'phase':<14}{'s / 1,000 steps':>16}{'share':>8}"]

@@ -11,15 +11,24 @@ from ..system.errors import ConfigError
 def repeat_actions(
     rng: np.random.Generator, last: np.ndarray, actions: int, new: float
 ) -> np.ndarray:
-    """The next actions, int64[N]: each the last one, or with probability `new` a new draw."""
+    """Return the next actions, int64[N]: the last ones, or with probability `new` new draws.
+
+    Args:
+      rng: the random generator.
+      last: the last actions.
+      actions: A.
+      new: the probability of a new draw.
+    """
     drawn = rng.integers(0, actions, last.shape)
     return np.where(rng.random(last.shape) < new, drawn, last)
 
 
 def play_random(config: Config, keep: float) -> tuple[np.ndarray, np.ndarray, int | None]:
-    """The returns float64[E] and lengths int64[E] of the episodes that ended, the first reward.
+    """Play with random actions.
 
-    The first reward is the number of steps that had been taken, or None where there was none.
+    Returns:
+      The returns float64[E] and lengths int64[E] of the episodes that ended, and the number of
+      steps before the first reward, or None.
     """
     env, size = config.env, config.num_envs
     pool = make_pool(env, [config.seed], size)

@@ -13,7 +13,7 @@ RESULTS = ROOT / "docs" / "results"
 
 
 def run_bench(*options: str) -> dict[str, Any]:
-    """The last line of one benchmark."""
+    """Run one benchmark in a process of its own, and return its figures."""
     command = command_line("bench", "env=Venture", *options)
     done = subprocess.run(
         command, stdout=subprocess.PIPE, text=True, check=True, env=child_environment()
@@ -22,7 +22,7 @@ def run_bench(*options: str) -> dict[str, Any]:
 
 
 def results_file(platform: str) -> Path:
-    """Where the figures of a kind of device are kept."""
+    """Return the file with the committed figures of a platform."""
     return RESULTS / f"bench-{platform}.json"
 
 

@@ -36,7 +36,7 @@ class RunCost(NamedTuple):
 
 
 def sweep_costs(sweep: str) -> dict[tuple[str, str], RunCost]:
-    """By algorithm and family."""
+    """Return the cost of the runs of a sweep, by algorithm and family."""
     params = compose_hydra([f"sweep={sweep}"]).sweeper.params
     listed = jobs.expand_product([f"{key}={value}" for key, value in params.items()])
     runs = Counter(tuple(one for one in own if not one.startswith("seed=")) for own in listed)
@@ -55,7 +55,7 @@ def sweep_costs(sweep: str) -> dict[tuple[str, str], RunCost]:
 
 @cache
 def work_and_state(algo: str, family: str) -> tuple[float, float]:
-    """10^9 operations per step, and the megabytes of a seed's state."""
+    """Return 10^9 operations per step, and the megabytes of a seed's state."""
     size, _, _, actions = INPUTS[family]
     make: Any = NAMED[algo]
     module = make(actions, size) if make else None
@@ -65,7 +65,7 @@ def work_and_state(algo: str, family: str) -> tuple[float, float]:
 
 
 def makespan(hours: list[float], machines: int) -> float:
-    """The hours until the last of some runs is over, the longest begun first.
+    """Return the hours until the last run ends, the longest started first.
 
     >>> makespan([3.0, 2.0, 2.0, 1.0], 2)
     4.0

@@ -16,7 +16,7 @@ MATMUL_SIZE = 4096  # of the matrix product
 
 
 def print_line(text: str) -> None:
-    """A line, at once."""
+    """Print a line at once."""
     print(text, flush=True)
 
 
@@ -36,11 +36,11 @@ class BenchmarkTimer:
         self.products.append(time.perf_counter() - begun)
 
     def gflops(self) -> float:
-        """10^9 operations per second of the product, the median."""
+        """Return the median rate of the product, in 10^9 operations per second."""
         return 2 * MATMUL_SIZE**3 / float(np.median(self.products)) / 1e9
 
     def seconds(self, work: Callable[[], Any]) -> float:
-        """The median time of the work, after one that does not count; a product before each."""
+        """Return the median time of the work, after an untimed run and a product before each."""
         jax.block_until_ready(work())
         times = []
         for _ in range(REPEATS):
@@ -52,7 +52,7 @@ class BenchmarkTimer:
 
 
 def device_name() -> str:
-    """The device in words: what jax calls it, on a CPU its model and cores."""
+    """Return the name of the device: jax's, or the CPU's model and cores."""
     if jax.default_backend() != "cpu":
         return jax.devices()[0].device_kind
     try:

@@ -89,7 +89,7 @@ def compose_config(overrides: dict[str, Override]) -> Config:
     for group in GROUPS:
         if group not in overrides:
             names = ", ".join(group_choices(group))
-            raise ConfigError(f"say {group}=NAME, one of: {names} (--help explains)")
+            raise ConfigError(f"give {group}=NAME, one of: {names} (--help explains them)")
     check_algorithm(overrides)
     lines = [override_line(override) for override in overrides.values()]
     lines += task_lines(overrides)
@@ -131,10 +131,12 @@ def task_lines(overrides: dict[str, Override]) -> list[str]:
     """
     env = str(overrides["env"].value())
     if env in GENERIC_ENVS and "env.id" not in overrides:
-        raise ConfigError(f"env={env} needs a task: env.id={GENERIC_ENVS[env]}, say")
+        raise ConfigError(f"env={env} needs a task, such as env.id={GENERIC_ENVS[env]}")
     for key in ("env.id", "env.suite"):
         if key in overrides and env not in GENERIC_ENVS:
-            raise ConfigError(f"{key}: env={env} has its own; take env=envpool or env=gymnasium")
+            raise ConfigError(
+                f"{key}: env={env} has a fixed task; use env=envpool or env=gymnasium"
+            )
     task = str(overrides["env.id"].value()) if "env.id" in overrides else ""
     of_module = env == "MiniGrid" and ":" in task  # minigrid's task, made by gymnasium
     if env == "MiniGrid" and not task.rpartition(":")[2].startswith("MiniGrid-"):
@@ -164,15 +166,17 @@ def check_algorithm(overrides: dict[str, Override]) -> None:
     if given and algo == "ppo":
         known = ", ".join(OBJECTIVES)
         raise ConfigError(
-            f"algo=ppo has no encoder, so {given[0]} means nothing; take algo=grid "
-            f"algo.objective=NAME algo.signal=NAME, objectives being {known}"
+            f"{given[0]}: algo=ppo has no encoder; use algo=grid "
+            f"algo.objective=NAME algo.signal=NAME; objectives: {known}"
         )
     unused = {"ppo.int_weight", "ppo.gamma_int", "ppo.episodic_int"}
     unused |= {k for k in overrides if k.startswith("algo.")} - {"algo.eta"}
     if algo == "ppo" and unused & set(overrides):
         raise ConfigError(f"{min(unused & set(overrides))}: algo=ppo has no intrinsic reward")
     if given and algo != "grid":
-        raise ConfigError(f"{given[0]}: algo={algo} is a cell with its own; take algo=grid")
+        raise ConfigError(
+            f"{given[0]}: algo={algo} has a fixed objective and signal; use algo=grid"
+        )
     if algo == "grid" and len(given) < 2:
         raise ConfigError("algo=grid needs both algo.objective=NAME and algo.signal=NAME")
     if (algo == "module") != ("algo.module" in overrides):
@@ -196,7 +200,9 @@ def function_name(module: str) -> str:
     if not Path(path).is_file():
         raise ConfigError(f"algo.module={module}: there is no file {path}")
     if name in group_choices("algo"):
-        raise ConfigError(f"algo.module={module}: {name} is an algorithm; call yours otherwise")
+        raise ConfigError(
+            f"algo.module={module}: {name} is the name of an algorithm; choose another name"
+        )
     return name
 
 

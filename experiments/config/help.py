@@ -8,7 +8,7 @@ from typing import Any
 from .validation import ALL_GROUPS, config_options, group_choices
 
 RUN_USAGE = """\
-usage: sndjax env=NAME algo=NAME [key=value ...]     (or sndjax run ..., python -m experiments.run ...)
+usage: sndjax env=NAME algo=NAME [key=value ...]     (or sndjax run ...)
 
 Trains PPO with an intrinsic reward, for example:
   sndjax env=MountainCar algo=snd_vic

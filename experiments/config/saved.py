@@ -82,12 +82,12 @@ def parse_saved(text: str, where: str) -> SavedConfig:
     try:
         found = yaml.load(text, NoAliasLoader)  # a safe loader: it creates only plain data
         if not isinstance(found, dict):
-            raise ConfigError("it is no configuration")
+            raise ConfigError("it is not a configuration")
         made_with = found.pop(MADE_WITH, {})
         if not isinstance(made_with, dict):
-            raise ConfigError(f"{MADE_WITH} is no list of versions")
+            raise ConfigError(f"{MADE_WITH} is not a list of versions")
         if "${" in str(found):
-            raise ConfigError("it holds a reference ('${'); a stored value stands for itself")
+            raise ConfigError("it holds a reference ('${'); stored values must be literal")
         config = OmegaConf.to_object(OmegaConf.merge(config_schema(), found))
     except Exception as error:  # an untrusted file may cause any exception
         raise ConfigError(f"{where} cannot be read: {innermost_reason(error)}") from None
@@ -141,13 +141,13 @@ def check_code(stored: Config, overrides: dict[str, Override], what: str) -> Non
     """
     if stored.algo.module is not None and "algo.module" not in overrides:
         raise ConfigError(
-            f"{what}: the run is of a bonus that is code, and no stored file may name code; "
-            f"say algo.module={stored.algo.module} again if you trust it"
+            f"{what}: this run uses a custom module; for safety repeat "
+            f"algo.module={stored.algo.module} on the command line, if you trust it"
         )
     if stored.env.suite == "gymnasium" and ":" in stored.env.id and "env.id" not in overrides:
         raise ConfigError(
-            f"{what}: the run's task names a Python module, and no stored file may name code; "
-            f"say env.id={stored.env.id} again if you trust it"
+            f"{what}: this run's task is in a Python module; for safety repeat "
+            f"env.id={stored.env.id} on the command line, if you trust it"
         )
 
 
@@ -170,7 +170,7 @@ def apply_overrides(stored: Config, overrides: dict[str, Override], what: str) -
     changed = {}
     for key, override in overrides.items():
         if key == "preset":
-            raise ConfigError(f"{what}: the run has its settings; leave preset out")
+            raise ConfigError(f"{what}: a stored run already has its settings; leave preset out")
         was, now = (
             OmegaConf.select(values, f"{key}.name" if key in GROUPS else key),
             override.value(),
@@ -234,7 +234,7 @@ def load_resumed_or_new(config: Config) -> Config:
       ConfigError: `run_dir` is not given, or it holds a run of another configuration.
     """
     if config.run_dir is None:
-        raise ConfigError("resume=auto looks in run_dir=DIRECTORY; say which")
+        raise ConfigError("resume=auto needs run_dir=DIRECTORY")
     path = Path(config.run_dir) / CONFIG
     if not is_file(path):
         return replace(config, resume=None)
@@ -257,10 +257,10 @@ def load_repeated(overrides: dict[str, Override]) -> Config:
     """
     path = Path(str(overrides.pop("repeat").value()))
     if "resume" in overrides:
-        raise ConfigError("repeat begins a run anew; resume goes on with one")
+        raise ConfigError("repeat starts a new run, resume continues one; give only one of them")
     run_dir = overrides.pop("run_dir", None)
     if "total_steps" in overrides:
-        raise ConfigError("repeat: a run of other total_steps is another run; leave it out")
+        raise ConfigError("repeat: total_steps is that of the run; leave it out")
     if not is_file(path):
         raise ConfigError(f"repeat={path}: there is no such file; give the {CONFIG} of a run")
     config = apply_overrides(read_saved(path).config, overrides, "repeat")

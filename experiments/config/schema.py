@@ -32,12 +32,14 @@ def option(default: Any, about: str, *, low=None, high=None, above=None, choices
 class EnvConfig:
     """The options of the environment."""
 
-    name: str = option(MISSING, "what results are filed under")
+    name: str = option(MISSING, "the name that results are stored under")
     id: str = option(MISSING, "the task (with env=envpool, env=gymnasium or env=MiniGrid)")
-    suite: str = option("envpool", "who makes the task", choices=("envpool", "gymnasium"))
-    stack: int = option(1, "newest frames that the policy sees", low=1, high=16)
+    suite: str = option(
+        "envpool", "the library that makes the task", choices=("envpool", "gymnasium")
+    )
+    stack: int = option(1, "number of newest frames that the policy sees", low=1, high=16)
     repeat_first: bool = option(
-        True, "an episode's first stack repeats its first frame, else zeros"
+        True, "fill an episode's first stack with its first frame; false: with zeros"
     )
     reward: str = option(
         "raw",
@@ -50,7 +52,9 @@ class EnvConfig:
     total_steps: int = option(1_000_000, "the default of total_steps", low=1)
     baseline_gamma: float = option(0.99, "external discount of algo=ppo", low=0, high=1)
     eta: dict[str, float] = option({}, "published intrinsic scale of each algorithm", low=0)
-    options: dict[str, Any] = option({}, "passed to its maker, e.g. env.options.frame_skip=4")
+    options: dict[str, Any] = option(
+        {}, "arguments of the library that makes the task, e.g. env.options.frame_skip=4"
+    )
 
 
 @dataclass(frozen=True)
@@ -61,32 +65,40 @@ class AlgoConfig:
     eta: float = option(0.5, "scale of the intrinsic reward", low=0)
     reward_scale: str = option(
         "none",
-        "none: clip(eta * signal, 0, 1); running_std: eta * signal over its return's deviation",
+        "none: clip(eta * signal, 0, 1); running_std: eta * signal / std of its discounted return",
         choices=("none", "running_std"),
     )
-    learning_rate: float = option(1e-4, "Adam's, of the motivation module", above=0, high=1)
-    minibatch_size: int = option(512, "rows per step of the motivation module", low=2)
-    shuffle: bool = option(False, "shuffle the motivation module's minibatches")
+    learning_rate: float = option(
+        1e-4, "learning rate of Adam for the intrinsic module", above=0, high=1
+    )
+    minibatch_size: int = option(512, "rows per gradient step of the intrinsic module", low=2)
+    shuffle: bool = option(False, "shuffle the intrinsic module's minibatches")
     preprocess: str = option(
-        "none", "frames before the module", choices=("none", "mean", "standardize")
+        "none",
+        "what is done to frames before the intrinsic module",
+        choices=("none", "mean", "standardize"),
     )
     activation: str = option(
         "elu",
-        "of the module; published: what each method's experiments ran, mostly ReLU convolutions",
+        "activation of the module; published: as in each method's experiments, mostly ReLU",
         choices=("elu", "relu", "published"),
     )
     pairing: str = option(
         "asymmetric",
-        "of target and learned network, where one copies the other (Fig. 5.4)",
+        "how predictor and target differ, for signals with a predictor (Fig. 5.4)",
         choices=("asymmetric", "one_linear", "two_linear", "relu"),
     )
     gradient: str = option(
         "symmetric",
-        "of the forward loss into the encoder, with signal prediction: all, not s_t+1's, or none",
+        "gradient of the forward loss into the encoder: through s_t and s_t+1, only s_t, or none",
         choices=("symmetric", "detached", "asymmetric"),
     )
-    objective: str = option("none", "what shapes the encoder (algo=grid)", choices=OBJECTIVES)
-    signal: str = option("distillation", "what is read off it (algo=grid)", choices=SIGNALS)
+    objective: str = option(
+        "none", "the loss that trains the encoder (algo=grid)", choices=OBJECTIVES
+    )
+    signal: str = option(
+        "distillation", "how novelty is computed from the encoder (algo=grid)", choices=SIGNALS
+    )
     module: str | None = option(None, "a bonus of your own, FILE.py:FUNCTION")
 
 
@@ -94,22 +106,32 @@ class AlgoConfig:
 class PPOConfig:
     """The options of PPO."""
 
-    learning_rate: float = option(1e-4, "Adam's", above=0, high=1)
+    learning_rate: float = option(1e-4, "learning rate of Adam", above=0, high=1)
     minibatch_size: int = option(512, "rows per gradient step", low=1)
     epochs: int = option(4, "passes over a rollout", low=1, high=1000)
-    clip: float = option(0.1, "how far the probability ratio may leave 1", above=0, high=1)
+    clip: float = option(0.1, "clipping range of the probability ratio around 1", above=0, high=1)
     gamma_ext: float = option(0.998, "discount of the external reward", low=0, high=1)
     gamma_int: float = option(0.99, "discount of the intrinsic reward", low=0, high=1)
-    gae_lambda: float = option(0.95, "of the advantage estimate", low=0, high=1)
-    entropy_weight: float = option(0.001, "of the entropy bonus", low=0)
-    value_weight: float = option(0.5, "of the value loss", low=0)
-    max_grad_norm: float = option(0.5, "gradients are clipped to it", above=0)
-    ext_weight: float = option(2.0, "of the external advantage; 0: novelty alone", low=0)
-    int_weight: float = option(1.0, "of the intrinsic advantage", low=0)
-    normalize_advantages: bool = option(False, "to mean 0 and deviation 1 over a rollout")
-    bootstrap_truncated: bool = option(False, "value the last state of an episode cut by a limit")
-    episodic_int: bool = option(True, "intrinsic returns end with the episode")
-    published_mask: bool = option(False, "algo=ppo: the inverted mask of the published baseline")
+    gae_lambda: float = option(0.95, "lambda of generalized advantage estimation", low=0, high=1)
+    entropy_weight: float = option(0.001, "weight of the entropy bonus", low=0)
+    value_weight: float = option(0.5, "weight of the value loss", low=0)
+    max_grad_norm: float = option(
+        0.5, "largest gradient norm; larger gradients are scaled down", above=0
+    )
+    ext_weight: float = option(
+        2.0, "weight of the external advantage; 0: intrinsic reward only", low=0
+    )
+    int_weight: float = option(1.0, "weight of the intrinsic advantage", low=0)
+    normalize_advantages: bool = option(
+        False, "normalise advantages to mean 0 and std 1 over a rollout"
+    )
+    bootstrap_truncated: bool = option(
+        False, "bootstrap from the last state of an episode that a step limit ended"
+    )
+    episodic_int: bool = option(True, "end intrinsic returns with the episode")
+    published_mask: bool = option(
+        False, "use the inverted mask of the published baseline (only algo=ppo)"
+    )
 
 
 @dataclass(frozen=True)
@@ -120,7 +142,9 @@ class Config:
     algo: AlgoConfig = field(default_factory=AlgoConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     network: str = option(
-        "thesis", "of pixels: the thesis', or one for two cores", choices=("thesis", "small")
+        "thesis",
+        "network for pixels: the thesis' one, or a small one for two cores",
+        choices=("thesis", "small"),
     )
     seed: int = option(0, "the first seed", low=0, high=2**31 - 1)
     num_seeds: int = option(1, "agents trained side by side: seed, seed + 1, ...", low=1, high=1024)
@@ -132,18 +156,20 @@ class Config:
     checkpoint_every: int = option(50, "iterations between checkpoints", low=1)
     run_dir: str | None = option(None, "where the run goes; default runs/<env>/<algo>/<time>-<id>")
     resume: str | None = option(
-        None, "a run directory to go on from; auto: run_dir, if there is a run in it"
+        None, "a run directory to resume; auto: run_dir, if there is a run in it"
     )
-    repeat: str | None = option(None, "the config.yaml of a run, to run it again")
+    repeat: str | None = option(None, "the config.yaml of a run, to start the same run again")
     tracker: str = option(
         "none",
-        "who else is told of metrics.jsonl, on this machine (docs/sweeps.md)",
+        "a service that also receives metrics.jsonl, on this machine (docs/sweeps.md)",
         choices=("none", "mlflow", "wandb"),
     )
     distributed: bool = option(
         False, "this is one of several processes of a run, one per host (docs/sweeps.md)"
     )
-    group: str | None = option(None, "what a tracker files the run under; a sweep's directory")
+    group: str | None = option(
+        None, "the name that a tracker groups runs under; by default a sweep's directory"
+    )
     on_nan: str = option(
         "stop",
         "a number that is not finite stops the run, skips the iteration, or is ignored",

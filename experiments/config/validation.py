@@ -62,7 +62,7 @@ def unknown_name_error(what: str, name: str, known: Iterable[str]) -> ConfigErro
         return ConfigError(
             f"unknown {what} '{name}'; did you mean {' or '.join(lower[k] for k in near)}?"
         )
-    shown = f"there is {', '.join(known)}" if len(known) < 30 else "see --help"
+    shown = f"known: {', '.join(known)}" if len(known) < 30 else "see --help"
     return ConfigError(f"unknown {what} '{name}'; {shown}")
 
 
@@ -154,7 +154,9 @@ def check_rewards(config: Config) -> None:
                 "choose an intrinsic algorithm"
             )
     elif config.ppo.published_mask:
-        raise ConfigError("ppo.published_mask repeats the published baseline: algo=ppo alone")
+        raise ConfigError(
+            "ppo.published_mask repeats the published baseline: use it only with algo=ppo"
+        )
     elif config.ppo.ext_weight == config.ppo.int_weight == 0:
         raise ConfigError("ppo.ext_weight and ppo.int_weight are both 0: nothing to learn from")
 

@@ -209,7 +209,7 @@ def render_episode(player: Player, episode: PlayedEpisode) -> Iterator[np.ndarra
     frame = pool.reset()[0, 0]
     for t in range(len(episode.frames)):
         if not np.array_equal(frame, episode.frames[t]):
-            raise ConfigError(f"{env.id} went otherwise when it was played again, at step {t}")
+            raise ConfigError(f"{env.id}: the replay differs from the recorded episode at step {t}")
         yield np.asarray(pool.envs.render(env_ids=np.zeros(1, int)))[0]
         if t < len(episode.executed):
             frame = pool.step(episode.executed[None, t : t + 1]).frame[0, 0]

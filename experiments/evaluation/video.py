@@ -147,7 +147,7 @@ def write_film(
         if writer is not None:
             writer.release()
         if cv2.VideoCapture(str(new)).get(cv2.CAP_PROP_FRAME_COUNT) != written:
-            raise OSError(f"{path} could not be written whole: is the disk full?")
+            raise OSError(f"{path} could not be written completely: is the disk full?")
         new.replace(path)
     finally:
         new.unlink(missing_ok=True)

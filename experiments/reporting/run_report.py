@@ -12,10 +12,10 @@ from .learning_curves import QUANTITIES, draw_curves
 from .thesis_tables import TABLES, improvement_table, seeds_table, thesis_table
 
 REFRESH_SECONDS = 30  # between two reloads of a live page
-BESIDE_THE_THESIS = (
-    "Ours is over the runs given, of as many seeds and steps as stand beside it; the thesis' after "
+THESIS_NOTE = (
+    "Ours is over the given runs, with the number of seeds and steps shown; the thesis' after "
     "128 million steps (Atari) or 64 million (Procgen). ± is the standard deviation over runs. "
-    "What was not run is empty."
+    "Empty entries were not run."
 )
 
 
@@ -68,7 +68,7 @@ def report_sections(
     beside = [thesis_table(table, groups) for table in TABLES]
     sections = [
         *curves,
-        Section("Beside the thesis", BESIDE_THE_THESIS, tables=beside),
+        Section("Beside the thesis", THESIS_NOTE, tables=beside),
         Section("Over seeds", tables=[seeds_table(groups), improvement_table(groups)]),
         runs_section(runs),
     ]

@@ -55,12 +55,12 @@ def read_summaries(path: Path) -> Any:
     """Read a JSON file of summaries.
 
     Raises:
-      ConfigError: the file holds no JSON.
+      ConfigError: the file is not valid JSON.
     """
     try:
         return json.loads(path.read_text())
     except ValueError:
-        raise ConfigError(f"{path} holds no JSON") from None
+        raise ConfigError(f"{path} is not valid JSON") from None
 
 
 def load_summaries(places: list[Path]) -> tuple[Summaries, list[str]]:
@@ -73,7 +73,7 @@ def load_summaries(places: list[Path]) -> tuple[Summaries, list[str]]:
       The summaries, and the directories of the runs that are not finished.
 
     Raises:
-      ConfigError: two runs have the same name, or a file holds no JSON or no configuration.
+      ConfigError: two runs have the same name, or a file is not valid JSON or no configuration.
     """
     found: Summaries = {}
     unfinished = []

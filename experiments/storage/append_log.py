@@ -72,5 +72,5 @@ def read_until_mark(path: Path, mark: LogMark) -> bytes:
     except FileNotFoundError:
         raise ValueError(f"{path.name} is missing") from None
     if hashlib.sha256(held).hexdigest() != mark["sha256"]:
-        raise ValueError(f"{path.name} is not what was written")
+        raise ValueError(f"{path.name} does not match its digest")
     return held

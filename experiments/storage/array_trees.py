@@ -70,9 +70,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise CheckpointError(f"{MANIFEST}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise CheckpointError(f"{MANIFEST} is not what was written") from None
+        raise CheckpointError(f"{MANIFEST} does not match its digest") from None
     if hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest() != seal:
-        raise CheckpointError(f"{MANIFEST} is not what was written")
+        raise CheckpointError(f"{MANIFEST} does not match its digest")
     return manifest
 
 
@@ -91,12 +91,12 @@ def verify_manifest(
     manifest = read_manifest(path)
     try:
         if file_digest(path / ARRAYS) != manifest["arrays"]:
-            raise CheckpointError(f"{ARRAYS} is not what was written")
+            raise CheckpointError(f"{ARRAYS} does not match its digest")
         fits(manifest)
     except FileNotFoundError as error:
         raise CheckpointError(f"{Path(error.filename).name} is missing") from None
     except KeyError as error:
-        raise CheckpointError(f"{MANIFEST} says nothing of {error}") from None
+        raise CheckpointError(f"{MANIFEST} has no entry {error}") from None
     except CheckpointError:
         raise
     except Exception as error:  # an untrusted manifest may cause any exception

@@ -61,7 +61,7 @@ class RunDirectory:
 
     def not_empty_message(self) -> str:
         """Return the error message for a directory that is not empty."""
-        return f"run directory {self.path} is not empty (to go on: resume={self.path})"
+        return f"run directory {self.path} is not empty (to resume: resume={self.path})"
 
     def remove_created_dirs(self) -> None:
         """Remove the directories that were created for this run, up to the first non-empty one."""

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +38,7 @@ SEARCH_METRIC = (
 STOP_FILE = "stop"  # a file: no job begins, and those that run are told to end
 FAILURE_PREFIX = "job"  # how the word of a job's failure begins
 PATIENCE = 60.0  # seconds that a run may take to end after its worker was killed
+MEMORY = 3 << 30  # bytes that a run may take (docs/results/speed.md)
 
 
 class JobFailed(CompactHydraException):
@@ -46,7 +47,7 @@ class JobFailed(CompactHydraException):
 
 @dataclass(frozen=True)
 class JobRunner:
-    """What a launcher runs: one job, in a process of its own. Importable, so it can travel."""
+    """What a launcher runs: one job, in a process of its own. It can be pickled to a worker."""
 
     directory: str
     start: str  # the directory that the sweep was started in
@@ -68,7 +69,7 @@ class JobRunner:
                 raise JobFailed(f"{FAILURE_PREFIX} {job.name}: another process runs it")
             if (directory / STOP_FILE).exists():
                 raise JobFailed(
-                    f"{FAILURE_PREFIX} {job.name}: not begun, the sweep was interrupted"
+                    f"{FAILURE_PREFIX} {job.name}: not started, the sweep was interrupted"
                 )
             if job.problem is None:
                 self.run(directory, job, log)
@@ -77,12 +78,12 @@ class JobRunner:
             raise JobFailed(f"{FAILURE_PREFIX} {job.name}: {job.problem or 'not finished'}")
         if self.swept and value is None:
             raise JobFailed(
-                f"{FAILURE_PREFIX} {job.name}: no episode ended, there is nothing to go by"
+                f"{FAILURE_PREFIX} {job.name}: no episode ended, a search has nothing to maximise"
             )
         return value
 
     def find_job(self, directory: Path, config: DictConfig) -> Job:
-        """The job of Hydra's job: one that was listed, or what a search came upon."""
+        """Return the job to run: one that was listed, or the next one of a search."""
         if name := config.get("job"):
             return read_job(job_file(directory, name, "json"))[0]
         overrides, _ = split_hydra_arguments(HydraConfig.get().overrides.task)
@@ -140,7 +141,7 @@ class JobRunner:
 
     @contextmanager
     def device(self) -> Iterator[dict[str, str]]:
-        """The environment that shows a run one GPU, if there is one that no other job here has."""
+        """Yield the environment that shows a run one GPU that no other job uses, if any."""
         locks = Path(tempfile.gettempdir()) / f"sndjax-gpus-{os.getuid()}"
         for name in self.gpus:
             with lock_job(locks, name) as own:
@@ -155,10 +156,10 @@ class JobRunner:
 
 @contextmanager
 def ignore_worker_signals(worker: bool) -> Iterator[None]:
-    """What is begun inside does not hear the signal by which Slurm tells a job of its time limit.
+    """Return a context in which started processes ignore SIGUSR2 (Slurm's time limit).
 
-    That is for the worker, which ends its run in order. From here on a worker does not hear a
-    terminal's Ctrl-C: that is for the sweep.
+    The worker answers that signal and ends its run in order. From here on a worker ignores a
+    terminal's Ctrl-C, which the sweep answers.
     """
     if not worker or threading.current_thread() is not threading.main_thread():
         yield
@@ -172,7 +173,7 @@ def ignore_worker_signals(worker: bool) -> Iterator[None]:
 
 
 def wait_or_stop(process: subprocess.Popen[bytes], stop: Path) -> int:
-    """The status a run ends with; when the sweep is to stop it gets a SIGTERM."""
+    """Wait for a run, and return its status; send it a SIGTERM when the sweep is to stop."""
     told = False
     while True:
         with suppress(subprocess.TimeoutExpired):
@@ -183,7 +184,7 @@ def wait_or_stop(process: subprocess.Popen[bytes], stop: Path) -> int:
 
 
 def failure_reason(lines: list[str], status: int) -> str:
-    """What a run's log says of its end."""
+    """Return why a run failed: the last error in its log."""
     if status < 0:
         return f"killed by {signal.Signals(-status).name}"
     own = [line.removeprefix("sndjax: ") for line in lines if line.startswith("sndjax: ")]
@@ -191,24 +192,37 @@ def failure_reason(lines: list[str], status: int) -> str:
 
 
 def thread_variables(count: int) -> dict[str, str]:
-    """The environment of a process that computes with so many threads."""
+    """Return the environment of a process that computes with so many threads."""
     names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     return dict.fromkeys(names, str(count))
 
 
 def memory_sharing_variables() -> dict[str, str]:
-    """The environment of a process that leaves others their part of a GPU's memory.
+    """Return the environment of a process that shares a GPU's memory with others.
 
-    Unless told otherwise, jax takes three quarters of it at once.
+    By default jax reserves three quarters of it at once.
     """
     name = "XLA_PYTHON_CLIENT_PREALLOCATE"
     return {name: os.environ.get(name, "false")}
 
 
 def visible_gpus() -> tuple[str, ...]:
-    """The names of the NVIDIA GPUs that this process may use."""
+    """Return the names of the NVIDIA GPUs that this process may use."""
     shown = os.environ.get("CUDA_VISIBLE_DEVICES")
     if shown is None:
         return tuple(str(k) for k, _ in enumerate(Path("/proc/driver/nvidia/gpus").glob("*")))
     names = [name.strip() for name in shown.split(",")]
     return tuple(itertools.takewhile(lambda name: name not in ("", "-1"), names))
+
+
+def launcher_resources(launcher: DictConfig, gpus: Sequence[str]) -> tuple[list[str], int]:
+    """Return further options of a launcher, and the number of threads of each of its jobs."""
+    cores = len(os.sched_getaffinity(0))
+    if "n_jobs" in launcher:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        fitting = len(gpus) or max(1, min(cores, memory // MEMORY))
+        jobs = launcher.n_jobs if launcher.n_jobs > 0 else fitting
+        return [f"hydra.launcher.n_jobs={jobs}"], max(1, cores // jobs)
+    if "ray" in launcher:
+        return [], int(launcher.ray.remote.get("num_cpus") or 1)
+    return [], int(launcher.get("cpus_per_task") or cores)

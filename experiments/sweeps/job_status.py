@@ -37,9 +37,14 @@ class JobStatus(NamedTuple):
 
 @contextmanager
 def lock_job(directory: Path, name: str, patience: float = 0.0) -> Iterator[int | None]:
-    """Hold a job; its log, open, or None where another process still holds it after a while.
+    """Lock a job, and yield its open log; None if another process keeps the lock.
 
-    A run whose waiting worker was killed holds it, too, until it has written its checkpoint.
+    A run whose worker was killed keeps the lock too, until it has written its checkpoint.
+
+    Args:
+      directory: of the sweep.
+      name: of the job.
+      patience: seconds to wait for the lock.
     """
     path = job_file(directory, name, "log")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +62,7 @@ def lock_job(directory: Path, name: str, patience: float = 0.0) -> Iterator[int 
 
 
 def try_lock(file: int, kind: int) -> bool:
-    """Whether the lock could be had at once."""
+    """Return True if the lock of an open file was free, and is now held."""
     try:
         fcntl.flock(file, kind | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -70,7 +75,7 @@ def try_lock(file: int, kind: int) -> bool:
 
 
 def is_locked(directory: Path, name: str) -> bool:
-    """Whether a process runs the job."""
+    """Return True if a process runs the job."""
     try:
         with job_file(directory, name, "log").open() as log:
             return not try_lock(log.fileno(), fcntl.LOCK_SH)
@@ -79,7 +84,13 @@ def is_locked(directory: Path, name: str) -> bool:
 
 
 def job_status(directory: Path, job: Job, last: dict[str, Any]) -> JobStatus:
-    """How far a job is, by its run directory, its lock and what its last run ended with."""
+    """Return how far a job is, by its run directory, its lock and its last run.
+
+    Args:
+      directory: of the sweep.
+      job: which one.
+      last: what is recorded of its last run.
+    """
     line = last_metrics_line(directory / job.name / "metrics.jsonl")
     steps, last100 = summary_metric(directory / job.name, "last100_ext_return")
     step = max(steps, int(line.get("step", 0)))
@@ -97,7 +108,7 @@ def job_status(directory: Path, job: Job, last: dict[str, Any]) -> JobStatus:
 
 
 def job_statuses(directory: Path) -> list[JobStatus]:
-    """How far every job of a sweep is."""
+    """Return how far every job of a sweep is."""
     return [job_status(directory, job, last) for job, last in read_jobs(directory)]
 
 
@@ -113,7 +124,7 @@ def summary_metric(run: Path, name: str) -> tuple[int, float | None]:
 
 
 def last_metrics_line(path: Path, size: int = 1 << 16) -> dict[str, Any]:
-    """The last complete object of a log; empty where there is none."""
+    """Return the last complete object of a log; an empty one if there is none."""
     try:
         with path.open("rb") as file:
             file.seek(max(0, path.stat().st_size - size))

@@ -40,10 +40,10 @@ class Job(NamedTuple):
 
 
 def expand_jobs(arguments: Sequence[str]) -> list[Job]:
-    """The jobs that a command line with several values stands for, each looked at.
+    """Return the jobs of a command line with several values, each validated.
 
     Raises:
-      ConfigError: it cannot be read, or two jobs would have one directory.
+      ConfigError: the command line cannot be read, or two jobs would have one directory.
     """
     keys = swept_keys(arguments)
     with ProgressBars() as bars:
@@ -58,7 +58,7 @@ def expand_jobs(arguments: Sequence[str]) -> list[Job]:
 
 
 def expand_product(arguments: Sequence[str]) -> list[list[str]]:
-    """Every combination of the values, as Hydra's own sweeper makes them.
+    """Return every combination of the values, as Hydra's own sweeper makes them.
 
     >>> expand_product(["env=Venture", "seed=0,9"])
     [['env=Venture', 'seed=0'], ['env=Venture', 'seed=9']]
@@ -71,7 +71,7 @@ def expand_product(arguments: Sequence[str]) -> list[list[str]]:
 
 
 def split_hydra_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The arguments that are our options, and those that are Hydra's."""
+    """Split a command line into our options and Hydra's."""
     left = [argument for argument in arguments if argument not in ("-m", "--multirun")]
     hydras = [a for a in left if a.lstrip("+~").startswith(("hydra", "sweep="))]
     for argument in left:
@@ -84,7 +84,7 @@ def split_hydra_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str
 
 
 def parse_sweep(arguments: Sequence[str]) -> dict[str, Override]:
-    """The overrides of a sweep by key; of a repeated key the last."""
+    """Return the overrides of a sweep by key; of a repeated key, the last."""
     try:
         found = OverridesParser.create().parse_overrides(list(arguments))
     except HydraException as error:
@@ -92,19 +92,21 @@ def parse_sweep(arguments: Sequence[str]) -> dict[str, Override]:
     overrides = {override.get_key_element(): override for override in found}
     for key in SWEEP_OWNED:
         if key in overrides:
-            raise ConfigError(f"{key}: a sweep places its runs itself; say hydra.sweep.dir=DIR")
+            raise ConfigError(
+                f"{key}: a sweep chooses the directories of its runs; use hydra.sweep.dir=DIR"
+            )
     return overrides
 
 
 def swept_keys(arguments: Sequence[str]) -> tuple[str, ...]:
-    """The keys that have several values."""
+    """Return the keys that have several values."""
     return tuple(
         k for k, override in parse_sweep(arguments).items() if override.is_sweep_override()
     )
 
 
 def make_job(name: str, overrides: Sequence[str]) -> Job:
-    """A job, and why it cannot run, as far as that is known before it does."""
+    """Return a job, with the reason why it cannot run, if that is known before it runs."""
     given = parse_sweep(overrides).get("seed")
     seed: Any = 0 if given is None else given.value()
     plain = type(seed) is int and 0 <= seed < MANY_SEEDS
@@ -114,7 +116,7 @@ def make_job(name: str, overrides: Sequence[str]) -> Job:
 
 @lru_cache(1 << 14)  # to compose a configuration takes a tenth of a second
 def validate_overrides(overrides: tuple[str, ...]) -> tuple[int, str | None]:
-    """The steps per seed that the overrides ask for, and what is wrong with them."""
+    """Return the steps per seed that the overrides ask for, and what is wrong with them."""
     try:
         config = load_config(list(overrides))
     except ConfigError as error:
@@ -123,7 +125,7 @@ def validate_overrides(overrides: tuple[str, ...]) -> tuple[int, str | None]:
 
 
 def job_name(overrides: Sequence[str], swept: Sequence[str]) -> str:
-    """The name of a job, which is its directory within the sweep's.
+    """Return the name of a job, which is its directory within the sweep's.
 
     >>> job_name(["env=Venture", "algo=rnd", "seed=9", "algo.eta=0.5"], ["seed", "algo.eta"])
     'Venture/rnd/9,algo.eta=0.5'
@@ -142,7 +144,13 @@ def job_name(overrides: Sequence[str], swept: Sequence[str]) -> str:
 
 
 def find_conflict(directory: Path, job: Job, before: Job | None) -> str | None:
-    """Why what is in a job's directory is not of this job, if it is not."""
+    """Return why a job's directory holds another job's run; None if it does not.
+
+    Args:
+      directory: of the sweep.
+      job: which one.
+      before: the job of this name that was recorded before, if any.
+    """
     place = directory / job.name
     free = lambda own: sorted(o for o in own if o.partition("=")[0].lstrip("+") not in CHANGEABLE)
     same = before is not None and free(before.overrides) == free(job.overrides)
@@ -156,27 +164,33 @@ def find_conflict(directory: Path, job: Job, before: Job | None) -> str | None:
 
 
 def quote_path(path: Path) -> str:
-    """A path as a value of an override."""
+    """Quote a path as the value of an override."""
     return "'" + str(path).replace("'", "\\'") + "'"
 
 
 def job_file(directory: Path, name: str, kind: str) -> Path:
-    """Where a job's own file is: `json` or `log`."""
+    """Return the path of a job's own file.
+
+    Args:
+      directory: of the sweep.
+      name: of the job.
+      kind: "json" or "log".
+    """
     return directory / FILES / f"{name}.{kind}"
 
 
 def write_job(directory: Path, job: Job, **more: Any) -> None:
-    """Keep a job, with what is known of its last run."""
+    """Write the record of a job, with what is known of its last run."""
     path = job_file(directory, job.name, "json")
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps(job._asdict() | more) + "\n")
 
 
 def read_job(path: Path) -> tuple[Job, dict[str, Any]]:
-    """A job with what is known of its last run.
+    """Return a recorded job, with what is known of its last run.
 
     Raises:
-      ConfigError: the file is none of ours.
+      ConfigError: the file is not the record of a job.
     """
     try:
         entry = json.loads(path.read_text())
@@ -186,7 +200,7 @@ def read_job(path: Path) -> tuple[Job, dict[str, Any]]:
 
 
 def read_jobs(directory: Path) -> list[tuple[Job, dict[str, Any]]]:
-    """Every job of a sweep with what is known of its last run.
+    """Return every recorded job of a sweep, with what is known of its last run.
 
     Raises:
       ConfigError: there is no sweep here.

@@ -20,7 +20,7 @@ COLOURS = dict(zip(STATES, ("green", "cyan", "yellow", "red", "bright_black"), s
 
 
 def status_table(standings: list[JobStatus]) -> str:
-    """The jobs and how they stand, as plain lines."""
+    """Format the jobs and their states as plain lines."""
     width = max((len(s.job.name) for s in standings), default=4)
     lines = [f"{'job':<{width}}  {'state':<8}{'steps':>12}{'of':>14}  last-100 return"]
     for s in standings:
@@ -33,7 +33,7 @@ def status_table(standings: list[JobStatus]) -> str:
 
 
 def count_states(standings: list[JobStatus]) -> str:
-    """How many jobs are in each state.
+    """Format how many jobs are in each state.
 
     >>> from experiments.sweeps.jobs import Job
     >>> job = Job("Venture/rnd/0", [], 10, None)
@@ -45,7 +45,7 @@ def count_states(standings: list[JobStatus]) -> str:
 
 
 class LiveTable:
-    """Looks at a sweep's files in a thread of its own, whichever launcher runs the jobs."""
+    """Shows a sweep's jobs while they run; it reads their files in a thread of its own."""
 
     def __init__(self, directory: Path):
         """Nothing was looked at yet."""
@@ -100,15 +100,16 @@ class LiveTable:
                     print(self.summary(), flush=True)
 
     def summary(self) -> str:
-        """One line: jobs, steps, and the time that is left at the rate so far."""
+        """Format one line: jobs, steps, and the time that is left at the rate so far."""
         done = sum(s.step for s in self.standings)
         total = sum(s.job.total for s in self.standings if not s.job.problem)
         gained, gone = done - (self.first or 0), time.monotonic() - self.begun
         left = f", {format_duration(gone * (total - done) / gained)} left" if gained else ""
-        return f"{count_states(self.standings)}; {done:,} of {total:,} steps in {format_duration(gone)}{left}"
+        steps = f"{done:,} of {total:,} steps in {format_duration(gone)}"
+        return f"{count_states(self.standings)}; {steps}{left}"
 
     def render(self) -> Group:
-        """The display of this moment: the jobs that run, and one line of all."""
+        """Return the display of this moment: the running jobs, and one line about all."""
         shown = Table.grid(padding=(0, 2))
         for s in self.standings:
             if s.state in (RUNNING, FAILED):

@@ -25,7 +25,14 @@ from ..config.saved import CHANGEABLE, innermost_reason
 from ..config.validation import CONF
 from ..reporting.run_report import write_report
 from ..system.errors import ConfigError, print_error
-from .job_runner import FAILURE_PREFIX, SEARCH_METRIC, STOP_FILE, JobRunner, visible_gpus
+from .job_runner import (
+    FAILURE_PREFIX,
+    SEARCH_METRIC,
+    STOP_FILE,
+    JobRunner,
+    launcher_resources,
+    visible_gpus,
+)
 from .job_status import (
     DONE,
     FAILED,
@@ -52,21 +59,7 @@ from .live_table import LiveTable, status_table
 from .search import search_report
 
 READY = (STOPPED, FAILED, WAITING)
-MEMORY = 3 << 30  # bytes that a run may take (docs/results/speed.md)
 PLUGINS = {"ray": "ray", "submitit_slurm": "slurm", "submitit_local": "slurm", "optuna": "optuna"}
-
-
-def launcher_resources(launcher: DictConfig, gpus: Sequence[str]) -> tuple[list[str], int]:
-    """What is still to be said to a launcher, and the threads of each of its jobs."""
-    cores = len(os.sched_getaffinity(0))
-    if "n_jobs" in launcher:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        fitting = len(gpus) or max(1, min(cores, memory // MEMORY))
-        jobs = launcher.n_jobs if launcher.n_jobs > 0 else fitting
-        return [f"hydra.launcher.n_jobs={jobs}"], max(1, cores // jobs)
-    if "ray" in launcher:
-        return [], int(launcher.ray.remote.get("num_cpus") or 1)
-    return [], int(launcher.get("cpus_per_task") or cores)
 
 
 def compose_hydra(hydras: list[str]) -> DictConfig:
@@ -87,7 +80,7 @@ def compose_hydra(hydras: list[str]) -> DictConfig:
 
 
 def default_directory(own: list[str], hydras: list[str]) -> Path:
-    """Where a sweep goes that names no place: the same command, the same place."""
+    """Return the directory of a sweep that names none: one for each command."""
     named = [a.removeprefix("sweep=") for a in hydras if a.startswith("sweep=")]
     mine = [a for a in own if a.partition("=")[0] not in CHANGEABLE]
     if named and not mine:
@@ -122,7 +115,7 @@ def parse_command(arguments: Sequence[str]) -> Sweep:
     """
     if not __debug__:
         raise ConfigError(
-            "Hydra reads sweeps by way of asserts: unset PYTHONOPTIMIZE, and say "
+            "Hydra reads sweeps by way of asserts: unset PYTHONOPTIMIZE, and give "
             "+hydra.job.env_set.PYTHONOPTIMIZE=1 for the sweep's runs to have it"
         )
     own, hydras = split_hydra_arguments(arguments)
@@ -182,7 +175,7 @@ def multirun(arguments: Sequence[str]) -> int:
 
 
 def summarize(directory: Path, before: list[JobStatus] | None) -> int:
-    """Show how the jobs stand and write the page; 0 where all that were asked for are done."""
+    """Print the state of the jobs, write the page, and return 0 if all requested jobs are done."""
     found = {s.job.name: s for s in sweep_statuses(directory)}
     bad = {s.job.name: s for s in before or () if s.job.problem}
     names = found if before is None else [s.job.name for s in before]
@@ -194,7 +187,7 @@ def summarize(directory: Path, before: list[JobStatus] | None) -> int:
 
 
 def sweep_statuses(directory: Path) -> list[JobStatus]:
-    """How far the jobs are; a search has none at first."""
+    """Return how far the jobs are; a search has none at first."""
     return job_statuses(directory) if (directory / FILES).is_dir() else []
 
 
@@ -207,10 +200,10 @@ def write_page(directory: Path) -> None:
 
 
 def prepare_jobs(directory: Path, listed: list[Job]) -> list[JobStatus]:
-    """Keep the jobs of a sweep, and say what each stands at before anything runs.
+    """Record the jobs of a sweep, and return how far each is before anything runs.
 
     Raises:
-      ConfigError: none of them can.
+      ConfigError: no job can run.
     """
     if all(job.problem for job in listed):
         raise ConfigError(listed[0].problem)
@@ -257,7 +250,7 @@ def print_prepared(directory: Path, statuses: list[JobStatus]) -> None:
 
 
 def launch(runner: JobRunner, arguments: list[str]) -> str:
-    """Hand the sweep to Hydra; what it complained of, except of jobs: the table has those."""
+    """Run the sweep with Hydra; return launcher errors (job failures are shown in the table)."""
     before, complaint, conf = sys.argv, StringIO(), str(CONF.resolve())
     sys.argv, at_once = ["sndjax", *arguments], False
     try:

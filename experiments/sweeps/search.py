@@ -13,7 +13,13 @@ from .jobs import read_jobs
 def finished_trials(
     directory: Path, keys: tuple[str, ...], figure: str
 ) -> list[tuple[float, list[float]]]:
-    """The figure of every finished trial with its values, the best first."""
+    """Return the metric and the values of every finished trial, the best first.
+
+    Args:
+      directory: of the sweep.
+      keys: what the search chose.
+      figure: the metric that it maximised.
+    """
     found = []
     for job, _ in read_jobs(directory):
         steps, value = summary_metric(directory / job.name, figure)
@@ -25,7 +31,13 @@ def finished_trials(
 
 
 def search_report(directory: Path, keys: tuple[str, ...], figure: str) -> str:
-    """The trials as lines; also as search.csv and, of two numbers, as a picture, in report/."""
+    """Return the trials as lines; write them as search.csv and, for two keys, as a picture.
+
+    Args:
+      directory: of the sweep.
+      keys: what the search chose.
+      figure: the metric that it maximised.
+    """
     found = finished_trials(directory, keys, figure)
     out = directory / "report"
     out.mkdir(exist_ok=True)
@@ -45,7 +57,14 @@ def search_report(directory: Path, keys: tuple[str, ...], figure: str) -> str:
 def plot_trials(
     found: list[tuple[float, list[float]]], keys: tuple[str, ...], figure: str, out: Path
 ) -> None:
-    """Where the trials lie, the better the darker."""
+    """Draw a scatter plot of the trials, coloured by metric.
+
+    Args:
+      found: the metric and the values of every trial.
+      keys: of the two values.
+      figure: the name of the metric.
+      out: where the picture goes.
+    """
     drawn, grid = make_panels(1, 1)
     axes = grid[0, 0]
     at = lambda k: [values[k] for _, values in found]

@@ -68,7 +68,7 @@ def network_sizes(config: Config, pool: Pool) -> sndjax.Architecture:
     if pool.dtype != np.uint8:
         if config.network != "thesis":
             raise ConfigError(
-                f"network={config.network} (which preset=laptop says too) is for pixels; "
+                f"network={config.network} (also set by preset=laptop) is for pixels; "
                 f"{config.env.id} has none"
             )
         return sndjax.VECTOR

@@ -2,13 +2,14 @@
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from sndjax import Experience, TrainState
+from sndjax import AgentSpec, Experience, TrainState
 
 from ..config.saved import SavedConfig, to_yaml
 from ..config.schema import Config
@@ -92,26 +93,26 @@ class HealthMonitor:
         self.signs = {
             "feature_spread": (
                 lambda value: value < 1e-4,
-                "the encoder has collapsed: all states have the same features, so the signal says "
-                "nothing. The thesis regularises against it: snd_vic's variance term (eq. 5.7), "
-                "snd_std's norm and spread terms (eq. 5.3-5.6)",
+                "the encoder has collapsed: all states have the same features, so the signal "
+                "carries no information. The thesis regularises against it: snd_vic's variance "
+                "term (eq. 5.7), snd_std's norm and spread terms (eq. 5.3-5.6)",
             ),
             "int_reward_clipped": (
                 lambda value: value > 0.5,
-                "more than half of the intrinsic rewards are cut off at 1 and tell states no "
-                "longer apart. The thesis chooses eta per environment among 0.25, 0.5 and 1: take "
-                "a smaller algo.eta, or algo.reward_scale=running_std",
+                "more than half of the intrinsic rewards are cut off at 1 and no longer "
+                "distinguish states. The thesis chooses eta per environment among 0.25, 0.5 and 1: "
+                "take a smaller algo.eta, or algo.reward_scale=running_std",
             ),
             "entropy": (
                 lambda value: value < 0.01 * entropy,
                 "the policy is dead: it has almost stopped choosing (entropy below 1% of ln A). "
-                "The thesis holds it up with an entropy weight of 0.001 (Table 5.2): take a larger "
-                "ppo.entropy_weight, or a smaller ppo.learning_rate",
+                "The thesis keeps it high with an entropy weight of 0.001 (Table 5.2): take a "
+                "larger ppo.entropy_weight, or a smaller ppo.learning_rate",
             ),
             "skipped": (
                 lambda value: value == 1,
                 "every one of the last iterations was skipped: what makes its numbers go wrong "
-                "stays. The thesis says nothing of it; look with on_nan=stop",
+                "stays. The thesis does not cover this; find the cause with on_nan=stop",
             ),
         }
 
@@ -129,3 +130,21 @@ class HealthMonitor:
                 self.warned.add(name)
                 found.append(f"warning, seed {line['seed']}: {name} {mean:.2g}: {advice}")
         return found
+
+
+def announcements(config: Config, agent: AgentSpec, done: int) -> Iterator[str]:
+    """Yield what a user should know before the first iteration.
+
+    Args:
+      config: of the run.
+      agent: what learns.
+      done: iterations that the run has had before.
+    """
+    has_scale = agent.intrinsic is None or agent.intrinsic.module.has_published_scale
+    if not has_scale and config.algo.reward_scale == "none":
+        yield (
+            f"the signal {config.algo.signal} has no published scale: unless its share of "
+            "clipped rewards stays low, take algo.reward_scale=running_std"
+        )
+    if 0 < done < config.iterations:
+        yield f"resuming from iteration {done}; environments begin new episodes"

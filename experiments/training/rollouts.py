@@ -286,14 +286,8 @@ class Collector:
             log_prob=c["log_prob"],
             value=self.value,
         )
-        info = RolloutInfo(
-            valid=c["valid"],
-            done=c["done"],
-            reward=c["reward"],
-            score=c["score"],
-            room=self.room,
-        )
-        return batch, info
+        columns = {name: c[name] for name in ("valid", "done", "reward", "score")}
+        return batch, RolloutInfo(**columns, room=self.room)
 
     def close(self) -> None:
         """Stop the environments."""

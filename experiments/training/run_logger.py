@@ -60,7 +60,7 @@ class RunLogger:
         self.messages: list[str] = []
         self.say: Callable[[str], None] = self.messages.append
         self.found = self.find_checkpoint() if directory.resumed else None
-        placement.assert_equal_on_hosts(self.done, "find the run at another iteration")
+        placement.assert_equal_on_hosts(self.done, "resume from different iterations")
         self.last_save, self.last_snapshot = time.monotonic(), -float("inf")
 
     def find_checkpoint(self) -> int | None:

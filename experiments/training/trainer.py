@@ -2,7 +2,6 @@
 
 import signal
 import time
-from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
@@ -22,7 +21,7 @@ from ..system.display import Progress, format_duration
 from ..system.interrupts import Interrupted, Interrupts
 from ..system.process import enable_compilation_cache, return_freed_memory
 from ..system.versions import versions
-from .diagnostics import HealthMonitor, nonfinite_terms, write_dump
+from .diagnostics import HealthMonitor, announcements, nonfinite_terms, write_dump
 from .experiment import build_experiment
 from .flops import estimate_seconds
 from .placement import choose_placement
@@ -77,7 +76,7 @@ class Trainer:
         logger.open_logs(self.experiment.agent, self.experiment.pool.rooms)
         title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {logger.path}"
         self.progress = Progress(title, total, logger.done * config.rows)
-        for line in [*logger.messages, *self.announcements()]:
+        for line in [*logger.messages, *announcements(config, self.experiment.agent, logger.done)]:
             self.progress.say(line)
         logger.say = self.progress.say
         finished = False
@@ -94,18 +93,6 @@ class Trainer:
             self.progress.close()
             logger.close(finished)
             self.collector.close()
-
-    def announcements(self) -> Iterator[str]:
-        """Yield the lines to print before the first iteration."""
-        config, intrinsic = self.config, self.experiment.agent.intrinsic
-        signal_has_scale = intrinsic is None or intrinsic.module.has_published_scale
-        if not signal_has_scale and config.algo.reward_scale == "none":
-            yield (
-                f"the signal {config.algo.signal} has no published scale: unless its share of "
-                "clipped rewards stays low, take algo.reward_scale=running_std"
-            )
-        if 0 < self.logger.done < config.iterations:
-            yield f"resuming from iteration {self.logger.done}; environments begin new episodes"
 
     def iterate(self) -> None:
         """Run every iteration from the next one to the last one."""
@@ -233,11 +220,7 @@ class Trainer:
         return metrics, np.asarray(reward)
 
     def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
-        """Return a context in which a signal interrupts waiting, if this is the only host.
-
-        Args:
-          grace: the seconds that a wait may continue after the signal.
-        """
+        """Return a context in which a signal interrupts waiting, if this is the only host."""
         return self.interrupts.waiting(grace) if self.placement.hosts == 1 else nullcontext()
 
     def compile(self, state: sndjax.TrainState, batch: sndjax.Experience) -> None:
@@ -249,10 +232,9 @@ class Trainer:
             self.update = traced.lower().compile()
         self.update_seconds = estimate_seconds(traced.jaxpr.jaxpr)
         return_freed_memory()
-        self.progress.say(
-            f"update compiled in {time.monotonic() - begun:.0f} s; "
-            f"each takes about {format_duration(self.update_seconds)}"
-        )
+        each = format_duration(self.update_seconds)
+        compiled = f"update compiled in {time.monotonic() - begun:.0f} s"
+        self.progress.say(f"{compiled}; each takes about {each}")
 
     def keep_nonfinite(
         self, wrong: list[str], before: sndjax.TrainState | None, batch: sndjax.Experience
@@ -267,8 +249,7 @@ class Trainer:
         Returns:
           The error message for the user.
         """
-        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        logger = self.logger
+        more, logger = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else "", self.logger
         what = f"iteration {logger.done + 1}, {wrong[0]}{more}"
         dump = logger.path / f"wrong-{logger.done + 1}"
         try:
@@ -281,11 +262,9 @@ class Trainer:
             if self.placement.is_leader:
                 write_dump(dump, self.config, versions(), before, batch)
         except (OSError, CheckpointError) as error:
-            return f"{what}; what it came from could not be kept: {error}"
-        return (
-            f"{what}; the last good checkpoint is that of iteration {logger.done}; to see why: "
-            f"sndjax replay {dump}"
-        )
+            return f"{what}; the dump could not be written: {error}"
+        good = f"the last good checkpoint is that of iteration {logger.done}"
+        return f"{what}; {good}; to see why: sndjax replay {dump}"
 
     def save_before_leaving(self) -> None:
         """Save a checkpoint of the current state, unless an interrupted update has its memory."""
@@ -295,7 +274,7 @@ class Trainer:
                 self.logger.save(self.state)
             self.logger.flush()
         except OSError as error:
-            self.progress.say(f"no checkpoint of this moment: {error}")
+            self.progress.say(f"no checkpoint could be written: {error}")
 
 
 def train(

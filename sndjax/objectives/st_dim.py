@@ -77,7 +77,7 @@ def contrast(
 
 
 def feature_std_over_dims(z: Float[Array, "B d"], valid: Bool[Array, " B"]) -> Float[Array, ""]:
-    """Compute the unbiased standard deviation over the d components of z_t, mean over valid rows (5.5).
+    """Compute the unbiased std over the d components of z_t, mean over valid rows (eq. 5.5).
 
     >>> feature_std_over_dims(jnp.array([[1.0, -1.0]]), jnp.array([True])).round(4)
     Array(1.4142, dtype=float32)

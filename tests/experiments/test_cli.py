@@ -1,4 +1,4 @@
-"""Every command of the table: its help at once and without side effects, its refusal in one line."""
+"""Every command of the table: its help without side effects, its refusal in one line."""
 
 import os
 import subprocess

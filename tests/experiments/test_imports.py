@@ -1,4 +1,4 @@
-"""The order of the rooms: a package imports only from packages above it, and nothing imports a command."""
+"""The order of the rooms: a package imports only from packages above it."""
 
 import ast
 from graphlib import TopologicalSorter

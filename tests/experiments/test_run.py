@@ -99,7 +99,7 @@ REFUSED = [
     (["env=Venture", "algo=rnd", "run_dir={full}"], "not empty"),
     (["env=envpool", "env.id=Pendulum-v1", "algo=rnd"], "only tasks with discrete actions"),
     (["resume={full}"], "there is no run"),
-    ([], "say env=NAME"),
+    ([], "give env=NAME"),
 ]
 
 

@@ -1,1 +1,1 @@
-"""What several test files use: random rollouts, run directories made by hand, child processes."""
+"""Helpers of several test files: random rollouts, run directories made by hand, processes."""

@@ -1,4 +1,4 @@
-"""Agents at toy size with their train steps, and batches for them."""
+"""Make agents at toy size with their train steps, and batches for them."""
 
 import functools
 
@@ -21,7 +21,7 @@ STEPS, ENVS = 8, 4
 
 @functools.cache
 def made(name, kind, **changes):
-    """An agent at toy size, its first state and its jitted train step."""
+    """Return an agent at toy size, its first state and its jitted train step."""
     make = NAMED[name]
     intrinsic = None
     if make is not None:

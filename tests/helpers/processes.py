@@ -1,4 +1,4 @@
-"""Runs as a user starts them, in processes of their own, and what they leave."""
+"""Start runs as a user does, in separate processes, and read the files that they write."""
 
 import bisect
 import json
@@ -30,19 +30,19 @@ def start(arguments, cwd, out=subprocess.PIPE):
 
 
 def run(arguments, cwd):
-    """Run it to its end; its status, stdout and stderr."""
+    """Run `experiments.run` to its end; return its exit status, stdout and stderr."""
     with start(arguments, cwd) as process:
         out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 
 
 def lines(path):
-    """The lines of a run's metrics.jsonl."""
+    """Return the lines of a run's metrics.jsonl."""
     return [json.loads(line) for line in (path / "metrics.jsonl").read_text().splitlines()]
 
 
 def without_clock(entries):
-    """The same lines without times and memory."""
+    """Return the same lines without times and memory."""
     return [
         {k: v for k, v in entry.items() if "second" not in k and "rss" not in k}
         for entry in entries
@@ -50,7 +50,7 @@ def without_clock(entries):
 
 
 def tree_of(path, config=None):
-    """The newest checkpoint of a run: its iteration, and its leaves as plain arrays."""
+    """Return the newest checkpoint of a run: its iteration, and its leaves as plain arrays."""
     config = config or load_config([f"resume={path}"])
     like = build_experiment(config, probe=True).state_shapes()
     checkpoints = Checkpoints(path)
@@ -61,7 +61,7 @@ def tree_of(path, config=None):
 
 
 def events(path):
-    """The events of the one TensorBoard file in a directory."""
+    """Return the events of the only TensorBoard file in a directory."""
     (file,) = path.iterdir()
     data, at, found = file.read_bytes(), 0, []
     while at < len(data):
@@ -72,7 +72,7 @@ def events(path):
 
 
 def check_nothing_lost(path, iterations, seeds=1):
-    """Every iteration once in every log, and the logs agree with each other."""
+    """Check that every log has every iteration once, and that the logs agree with each other."""
     entries = lines(path)
     assert [(e["iteration"], e["seed"]) for e in entries] == [
         (i, s) for i in range(1, iterations + 1) for s in range(seeds)

@@ -1,4 +1,4 @@
-"""Random rollouts with real episode structure, for every kind of input."""
+"""Make random rollouts with real episode structure, for every kind of input."""
 
 from typing import NamedTuple
 
@@ -32,7 +32,7 @@ KINDS = [
 
 
 def episodes(rng, steps, envs, chance=0.2):
-    """first, done, valid of `steps` rows with next-step resets, starting mid-episode or not."""
+    """Return first, done, valid of rows with next-step resets, which may start mid-episode."""
     first = np.zeros((steps, envs), bool)
     done = np.zeros((steps, envs), bool)
     valid = np.ones((steps, envs), bool)
@@ -51,14 +51,14 @@ def episodes(rng, steps, envs, chance=0.2):
 
 
 def frames(rng, shape, *rows):
-    """Random pixels for images, normal numbers for vectors."""
+    """Return random pixels for images, normal numbers for vectors."""
     if len(shape) == 3:
         return rng.integers(0, 256, (*rows, *shape), dtype=np.uint8)
     return rng.normal(size=(*rows, *shape)).astype(np.float32)
 
 
 def rollout(kind, rng, steps=8, envs=4, chance=0.2):
-    """A rollout of random frames and actions with real episode structure."""
+    """Return a rollout of random frames and actions with real episode structure."""
     first, done, valid = episodes(rng, steps, envs, chance)
     action = rng.integers(0, kind.actions, (steps, envs)).astype(np.int32)
     made = Rollout(frames(rng, kind.shape, steps + 1, envs), action, first, done, valid)
@@ -66,7 +66,7 @@ def rollout(kind, rng, steps=8, envs=4, chance=0.2):
 
 
 def experience(kind, rng, steps=8, envs=4, stack=1, heads=2):
-    """The batch of `train_step` around a random rollout."""
+    """Return a batch for `train_step` with a random rollout."""
     made = rollout(kind, rng, steps, envs)
     rows = (steps, envs)
     normal = lambda *shape: jnp.asarray(rng.normal(size=shape).astype(np.float32))
@@ -81,7 +81,7 @@ def experience(kind, rng, steps=8, envs=4, stack=1, heads=2):
 
 
 def no_encode(frames, action=None):
-    """Stand for the encoder where a loss does not use it."""
+    """Replace the encoder where a loss does not use it."""
     raise AssertionError("this loss encodes no further frames")
 
 

@@ -1,4 +1,4 @@
-"""Run directories made by hand, for what reads them."""
+"""Make run directories by hand, for tests of the code that reads them."""
 
 import json
 
@@ -7,7 +7,7 @@ from experiments.config.saved import SavedConfig, to_yaml
 
 
 def made(path, arguments, episodes, figures=None, rows=128):
-    """A run directory: `episodes[seed]` are (step, return, score), `figures[seed]` the novelty."""
+    """Make a run from `episodes[seed]`: (step, return, score), and `figures[seed]`: the novelty."""
     config = load_config(arguments)
     path.mkdir(parents=True)
     (path / "config.yaml").write_text(to_yaml(SavedConfig(config, {"jax": "0"})))

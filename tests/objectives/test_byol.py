@@ -19,7 +19,7 @@ VECTOR = KINDS[2]
 
 
 def in_numpy(q, z, valid):
-    """Eq. 3.9 in float64."""
+    """Compute eq. 3.9 in float64."""
     q, z = (np.asarray(x, np.float64)[np.asarray(valid)] for x in (q, z))
     unit = lambda x: x / np.linalg.norm(x)
     return np.mean([((unit(a) - unit(b)) ** 2).sum() for a, b in zip(q, z, strict=True)])
@@ -31,7 +31,7 @@ def normal(rng, *shape):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 100))
-def test_equals_the_equation_in_float64_at_any_length(seed, scale):
+def test_byol_distance_vectors_of_any_length_equals_equation_in_float64(seed, scale):
     rng = np.random.default_rng(seed)
     q, z, valid = normal(rng, 6, 4), normal(rng, 6, 4), jnp.arange(6) != 2
     np.testing.assert_allclose(byol_distance(q, z, valid), in_numpy(q, z, valid), rtol=1e-4)
@@ -40,7 +40,7 @@ def test_equals_the_equation_in_float64_at_any_length(seed, scale):
     )
 
 
-def test_known_values_and_no_gradient_into_the_target():
+def test_byol_distance_known_vectors_has_known_values_and_no_target_gradient():
     one = jnp.array([[1.0, 0.0]])
     yes = jnp.ones(1, bool)
     for other, value in ((one, 0), (jnp.array([[0.0, 2.0]]), 2), (-one, 4)):
@@ -60,8 +60,8 @@ def perceptron(params, x):
     return x
 
 
-def test_each_view_predicts_the_averaged_network_of_the_other():
-    """Eq. 3.10 with its heads in NumPy; the slow encoder here doubles the frame."""
+def test_byol_loss_each_view_predicts_slow_network_of_other_view():
+    """Compare with eq. 3.10, its heads in NumPy; the slow encoder here doubles the frame."""
     rng = np.random.default_rng(0)
     frame, next_frame = normal(rng, 5, 6), normal(rng, 5, 6)
     features = Features(frame, next_frame, None, None)
@@ -79,7 +79,7 @@ def test_each_view_predicts_the_averaged_network_of_the_other():
     np.testing.assert_allclose(got, wanted, rtol=1e-4)
 
 
-def test_the_slow_copy_follows_encoder_and_heads_and_gets_no_gradient():
+def test_snd_byol_update_moves_slow_encoder_and_heads_which_get_no_gradient():
     batch = rollout(VECTOR, np.random.default_rng(0))
     module = snd_byol(VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), batch.frames[0])
@@ -94,7 +94,7 @@ def test_the_slow_copy_follows_encoder_and_heads_and_gets_no_gradient():
             lambda slow, old: np.testing.assert_allclose(slow, old + 0.01, atol=1e-6),
             getattr(after.slow, part), getattr(params, part),
         )  # fmt: skip
-    # Its encoder decides the loss, and is not among what is differentiated.
+    # The slow encoder changes the loss, and is not among the differentiated parameters.
     rows, key = gather_transitions(batch, jnp.arange(32)), jax.random.key(2)
     loss = jax.jit(module.loss)
     assert loss(params, state, rows, batch, key)[0] != loss(params, after, rows, batch, key)[0]

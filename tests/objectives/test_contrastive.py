@@ -14,7 +14,7 @@ draw_pairs = jax.jit(eager_draw_pairs, static_argnums=2)
 
 
 def in_numpy(za, zb, far, bound):
-    """The equation in float64, one pair at a time."""
+    """Compute the equation in float64, one pair at a time."""
     za, zb = np.asarray(za, np.float64), np.asarray(zb, np.float64)
     pairs = [(float(y) - ((a - b) ** 2).mean()) ** 2 for a, b, y in zip(za, zb, far, strict=True)]
     return np.mean(pairs) + max(0.0, (za**2).mean() + (zb**2).mean() - bound)
@@ -22,7 +22,7 @@ def in_numpy(za, zb, far, bound):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 200.0]))
-def test_equals_the_equation_in_float64(seed, bound):
+def test_contrastive_loss_random_pairs_equals_equation_in_float64(seed, bound):
     rng = np.random.default_rng(seed)
     za, zb = (jnp.asarray(rng.normal(size=(6, 4)).astype(np.float32)) for _ in range(2))
     far = jnp.asarray(rng.random(6) < 0.5)
@@ -31,7 +31,7 @@ def test_equals_the_equation_in_float64(seed, bound):
     )
 
 
-def test_pairs_are_valid_rows_near_ones_equal_and_far_ones_not():
+def test_draw_pairs_near_rows_are_equal_far_rows_differ_and_all_are_valid():
     valid = np.random.default_rng(0).random(200) < 0.5
     seen = set()
     for key in jax.random.split(jax.random.key(0), 20):
@@ -41,10 +41,10 @@ def test_pairs_are_valid_rows_near_ones_equal_and_far_ones_not():
         assert valid[other].all()
         assert np.all((one == other) == ~far)
         seen |= set(one) | set(other)
-    assert seen == set(np.flatnonzero(valid))  # every valid row is drawn, given time
+    assert seen == set(np.flatnonzero(valid))  # every valid row is drawn in one of the 20 calls
 
 
-def test_far_rows_are_uniform_over_the_others():
+def test_draw_pairs_far_rows_are_uniform_over_other_valid_rows():
     valid = jnp.array([True, False, True, True, True])
     one, other, far = map(np.asarray, draw_pairs(jax.random.key(0), valid, 40_000))
     one, other = one[far], other[far]
@@ -53,14 +53,14 @@ def test_far_rows_are_uniform_over_the_others():
         np.testing.assert_allclose(shares, 1 / 3, atol=0.03)
 
 
-def test_with_few_valid_rows_pairs_stay_inside():
+def test_draw_pairs_one_or_no_valid_row_gives_equal_rows_in_range():
     for valid in ([False, True, False], [False, False, False]):
         one, other, _ = draw_pairs(jax.random.key(0), jnp.asarray(valid), 8)
         assert np.all(one == other)
         assert np.all((one >= 0) & (one < 3))
 
 
-def test_tiles_and_noise_are_as_published():
+def test_augment_images_get_tiles_and_noise_as_published():
     """Half of the samples lose a tenth of their tiles, half get noise in +-0.2."""
     x = jnp.full((400, 24, 24, 1), 0.5)
     for key in jax.random.split(jax.random.key(0), 6):
@@ -72,9 +72,9 @@ def test_tiles_and_noise_are_as_published():
         plain = y[~noisy]
         assert abs((plain == 0).mean() - 0.5 * 0.1) < 0.03
         holed = np.array([(image == 0).any() for image in plain])
-        if tiled(plain, 2) and not tiled(plain, 4):  # so many tiles that none spares a sample
+        if tiled(plain, 2) and not tiled(plain, 4):  # so many tiles that each such sample loses one
             assert abs(holed.mean() - 0.5) < 0.15
-        # One side per call, and it divides the image: the largest that explains every hole.
+        # All tiles of a call have the same side, which divides that of the image.
         sides = [s for s in (1, 2, 4, 8, 12) if tiled(plain, s)]
         assert sides
         rest = plain[holed]
@@ -82,12 +82,12 @@ def test_tiles_and_noise_are_as_published():
 
 
 def tiled(images, side):
-    """Whether every tile of that side is all zero or not at all."""
+    """Return whether each tile of that side is zero everywhere or nowhere."""
     cut = images.reshape(len(images), 24 // side, side, 24 // side, side) == 0
     return np.all(cut.all((2, 4)) == cut.any((2, 4)))
 
 
-def test_several_sides_are_drawn_and_a_vectors_tiles_are_its_elements():
+def test_augment_draws_every_tile_side_and_zeroes_single_elements_of_vectors():
     x = jnp.full((60, 24, 24, 1), 0.5)
     largest = set()
     for key in jax.random.split(jax.random.key(1), 40):
@@ -96,11 +96,11 @@ def test_several_sides_are_drawn_and_a_vectors_tiles_are_its_elements():
         largest.add(max(s for s in (1, 2, 4, 8, 12) if tiled(plain, s)))
     assert largest == {1, 2, 4, 8, 12}
     v = np.asarray(augment(jax.random.key(0), jnp.full((2000, 5), 0.5)))
-    assert abs((v == 0).mean() - 0.05 * 0.5) < 0.01  # noise covers half of the zeroed ones
+    assert abs((v == 0).mean() - 0.05 * 0.5) < 0.01  # noise hides half of the zeroed elements
 
 
-def test_the_objective_draws_an_eighth_of_the_minibatch_from_the_whole_rollout():
-    """Pairs afresh with every key; frames of reset rows never; the minibatch's own rows not."""
+def test_contrastive_loss_draws_an_eighth_of_minibatch_from_valid_rows_of_rollout():
+    """Each key draws new pairs, never from reset rows, and not from the minibatch only."""
     kind = KINDS[2]
     batch = rollout(kind, np.random.default_rng(0), steps=16, envs=4)
     index = jnp.arange(batch.action.size)
@@ -118,6 +118,6 @@ def test_the_objective_draws_an_eighth_of_the_minibatch_from_the_whole_rollout()
     assert all(frames.shape == (6, 5) for frames in seen)
     drawn = {round(float(np.median(row))) for frames in seen for row in frames}
     valid = set(np.flatnonzero(np.asarray(batch.valid)))
-    assert drawn <= valid | {0}  # a row whose elements are mostly zeroed reads 0
+    assert drawn <= valid | {0}  # a row with most elements zeroed has median 0
     assert max(drawn) >= 48
     assert len(drawn) > 20

@@ -20,7 +20,7 @@ def case(seed, rows=7, actions=4):
 
 
 def in_numpy(logits, action, valid):
-    """Eq. 5.8 in float64, one row at a time."""
+    """Compute eq. 5.8 in float64, one row at a time."""
     rows = [
         -np.log(np.exp(row)[a] / np.exp(row).sum())
         for row, a, v in zip(np.asarray(logits, np.float64), action, valid, strict=True)
@@ -31,7 +31,7 @@ def in_numpy(logits, action, valid):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_equals_the_equation_in_float64_and_optax(seed):
+def test_inverse_dynamics_loss_random_logits_equals_float64_and_optax(seed):
     logits, action, valid = case(seed)
     got, metrics = inverse_dynamics_loss(logits, action, valid)
     np.testing.assert_allclose(got, in_numpy(logits, action, valid), rtol=1e-5)
@@ -41,13 +41,13 @@ def test_equals_the_equation_in_float64_and_optax(seed):
     np.testing.assert_allclose(metrics["inverse_accuracy"], right.mean(), rtol=1e-6)
 
 
-def test_chance_is_log_of_the_actions():
+def test_inverse_dynamics_loss_uniform_logits_is_log_num_actions():
     loss, _ = inverse_dynamics_loss(jnp.zeros((5, 18)), jnp.arange(5), jnp.ones(5, bool))
     np.testing.assert_allclose(loss, np.log(18), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("last", "middle"), [(1.0, 8), (0.5, 4)])
-def test_the_model_reads_both_states_and_has_the_widths_of_the_table(last, middle):
+def test_inverse_dynamics_model_reads_both_states_with_widths_of_thesis_table(last, middle):
     rng = np.random.default_rng(0)
     z, z_next = (jnp.asarray(rng.normal(size=(6, 8)).astype(np.float32)) for _ in range(2))
     features = Features(z, z_next, None, None)
@@ -68,7 +68,7 @@ def test_the_model_reads_both_states_and_has_the_widths_of_the_table(last, middl
     np.testing.assert_allclose(gain, np.sqrt(2), rtol=1e-5)
 
 
-def test_one_action_is_refused():
+def test_inverse_dynamics_init_one_action_raises_value_error():
     z = jnp.zeros((1, 4))
     with pytest.raises(ValueError, match="at least 2 actions"):
         inverse_dynamics().init(jax.random.key(0), Features(z, z, None, None), 1)

@@ -17,7 +17,7 @@ contrast = jax.jit(eager_contrast)
 
 
 def in_numpy(local, local_mapped, global_mapped, z, valid, beta_1=1e-4, beta_2=1e-4):
-    """Eq. 5.1-5.6 in float64, one position and one row at a time."""
+    """Compute eq. 5.1-5.6 in float64, one position and one row at a time."""
     rows = [b for b in range(len(z)) if valid[b]]
     local, local_mapped, global_mapped, z = (
         np.asarray(x, np.float64) for x in (local, local_mapped, global_mapped, z)
@@ -53,23 +53,23 @@ def case(seed, rows=6, side=(2, 3), channels=4, width=5):
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-4, 0.3]))
-def test_equals_the_equations_in_float64(seed, beta):
+def test_st_dim_loss_random_features_equals_equations_in_float64(seed, beta):
     args = case(seed)
     got = st_dim_loss(*args, norm_weight=beta, spread_weight=beta)[0]
     np.testing.assert_allclose(got, in_numpy(*args, beta, beta), rtol=2e-4)
 
 
 @pytest.mark.parametrize("side", [(1, 1), (12, 12), (5, 5), (7, 1)])
-def test_slices_of_positions_equal_all_at_once(side):
+def test_st_dim_loss_slices_of_positions_equal_all_positions_at_once(side):
     args = case(0, side=side)
     np.testing.assert_allclose(st_dim_loss(*args)[0], in_numpy(*args), rtol=2e-4)
 
 
-def test_runs_without_jit():
+def test_st_dim_loss_without_jit_equals_jitted():
     np.testing.assert_allclose(eager_st_dim_loss(*case(0))[0], st_dim_loss(*case(0))[0], rtol=1e-5)
 
 
-def test_cross_entropy_equals_optax_on_all_rows():
+def test_contrast_all_rows_valid_equals_cross_entropy_of_optax():
     local, mapped, *_ = case(1)
     flat = lambda x: x.reshape(len(x), -1, x.shape[-1])
     ours = contrast(flat(local), flat(mapped), jnp.ones(len(local), bool))[0]
@@ -82,7 +82,7 @@ def test_cross_entropy_equals_optax_on_all_rows():
 
 @settings(deadline=None, max_examples=15)
 @given(st.integers(0, 2**32 - 1))
-def test_order_of_the_batch_does_not_matter(seed):
+def test_st_dim_loss_reordered_batch_is_unchanged(seed):
     args = case(seed)
     order = np.random.default_rng(seed).permutation(len(args[0]))
     np.testing.assert_allclose(
@@ -92,7 +92,7 @@ def test_order_of_the_batch_does_not_matter(seed):
 
 @settings(deadline=None, max_examples=15)
 @given(st.sampled_from([2, 7, 40]), st.integers(1, 40))
-def test_zero_logits_are_worth_log_of_the_valid_candidates(rows, valid):
+def test_st_dim_loss_zero_logits_is_log_of_valid_candidates(rows, valid):
     valid = jnp.arange(rows) < valid
     zero = jnp.zeros((rows, 2, 2, 3))
     _, metrics = st_dim_loss(zero, zero, zero[:, 0, 0], jnp.zeros((rows, 4)), valid)
@@ -100,18 +100,18 @@ def test_zero_logits_are_worth_log_of_the_valid_candidates(rows, valid):
         np.testing.assert_allclose(metrics[name], np.log(valid.sum()), atol=1e-5)
 
 
-def test_the_direction_is_local_of_now_against_global_of_next():
-    """For each s_t (row) the softmax runs over candidate next states (columns)."""
-    local = jnp.array([[[1.0, 0]], [[1.0, 0]]])  # both states look alike
-    candidate = jnp.array([[[5.0, 0]], [[0.0, 0]]])  # the first successor attracts both
+def test_contrast_equal_states_softmax_runs_over_next_states():
+    """For each s_t (row), the softmax is over the candidate next states (columns)."""
+    local = jnp.array([[[1.0, 0]], [[1.0, 0]]])  # both states are equal
+    candidate = jnp.array([[[5.0, 0]], [[0.0, 0]]])  # the first next state has the larger logit
     entropy, _ = contrast(local, candidate, jnp.ones(2, bool))
     row = np.log(np.exp(5) + 1)
     np.testing.assert_allclose(entropy, ((row - 5) + (row - 0)) / 2, rtol=1e-5)
-    entropy, _ = contrast(candidate, local, jnp.ones(2, bool))  # the other way round: chance
+    entropy, _ = contrast(candidate, local, jnp.ones(2, bool))  # arguments swapped: uniform
     np.testing.assert_allclose(entropy, np.log(2), rtol=1e-5)
 
 
-def test_gradient_is_zero_where_norms_and_deviations_are_zero():
+def test_st_dim_loss_zero_norm_and_standard_deviation_has_zero_gradient():
     rows = 4
     args = [jnp.zeros((rows, 1, 1, 3)), jnp.zeros((rows, 1, 1, 3)), jnp.zeros((rows, 3))]
     loss = lambda *xs: st_dim_loss(*xs, jnp.ones(rows, bool))[0]
@@ -119,14 +119,14 @@ def test_gradient_is_zero_where_norms_and_deviations_are_zero():
         np.testing.assert_array_equal(gradient, 0)
 
 
-def test_spread_is_the_deviation_over_features():
+def test_feature_std_over_dims_valid_rows_equals_numpy_std():
     z = jnp.asarray(np.random.default_rng(0).normal(size=(3, 7)).astype(np.float32))
     got = feature_std_over_dims(z, jnp.array([True, True, False]))
     np.testing.assert_allclose(got, np.std(np.asarray(z[:2]), axis=1, ddof=1).mean(), rtol=1e-5)
 
 
-def test_the_objective_maps_the_next_states_features():
-    """The objective's value is the equation's, with its linear maps applied in NumPy."""
+def test_st_dim_objective_maps_features_of_next_state():
+    """Compare the objective with the equation, its linear maps applied in NumPy."""
     rng = np.random.default_rng(0)
     f = lambda *shape: jnp.asarray(rng.normal(size=shape).astype(np.float32))
     rows = 6

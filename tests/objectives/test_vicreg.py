@@ -10,7 +10,7 @@ vicreg_loss = jax.jit(eager_vicreg_loss)
 
 
 def in_numpy(z, z_next, valid):
-    """Eq. 5.7 with the sums of eq. 3.12-3.14 written out, in float64."""
+    """Compute eq. 5.7 with the sums of eq. 3.12-3.14 written out, in float64."""
     views = [np.asarray(v, np.float64)[np.asarray(valid)] for v in (z, z_next)]
     n, d = views[0].shape
     total = sum(((views[0][i] - views[1][i]) ** 2).sum() for i in range(n)) / (n * d)
@@ -35,18 +35,18 @@ def case(seed, rows=12, width=5):
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1))
-def test_equals_the_equation_in_float64(seed):
+def test_vicreg_loss_random_views_equals_equation_in_float64(seed):
     case_ = case(seed)
     np.testing.assert_allclose(vicreg_loss(*case_)[0], in_numpy(*case_), rtol=1e-4)
 
 
-def test_runs_without_jit():
+def test_vicreg_loss_without_jit_equals_jitted():
     np.testing.assert_allclose(eager_vicreg_loss(*case(0))[0], vicreg_loss(*case(0))[0], rtol=1e-5)
 
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_zero_on_whitened_equal_views(seed):
+def test_vicreg_loss_equal_whitened_views_is_zero(seed):
     z = np.random.default_rng(seed).normal(size=(64, 6))
     z -= z.mean(0)
     z = np.linalg.svd(z, full_matrices=False)[0] * np.sqrt(63)  # covariance exactly the identity
@@ -56,7 +56,7 @@ def test_zero_on_whitened_equal_views(seed):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_order_of_rows_and_of_views_does_not_matter(seed):
+def test_vicreg_loss_reordered_rows_or_swapped_views_is_unchanged(seed):
     z, z_next, valid = case(seed)
     order = np.random.default_rng(seed).permutation(len(z))
     loss = vicreg_loss(z, z_next, valid)[0]
@@ -68,7 +68,7 @@ def test_order_of_rows_and_of_views_does_not_matter(seed):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 4))
-def test_invariance_and_covariance_grow_with_the_square_and_fourth_power(seed, scale):
+def test_vicreg_loss_scaled_views_terms_grow_with_second_and_fourth_power(seed, scale):
     z, z_next, valid = case(seed)
     small, large = (vicreg_loss(s * z, s * z_next, valid)[1] for s in (1, scale))
     np.testing.assert_allclose(
@@ -79,13 +79,13 @@ def test_invariance_and_covariance_grow_with_the_square_and_fourth_power(seed, s
     )
 
 
-def test_collapse_costs_the_hinge_of_both_views():
+def test_vicreg_loss_collapsed_views_is_hinge_of_both():
     z = jnp.ones((8, 3))
     loss = vicreg_loss(z, z, jnp.ones(8, bool))[0]
     np.testing.assert_allclose(loss, 2 * (1 - np.sqrt(1e-4)), rtol=1e-6)
 
 
-def test_no_valid_row_and_one_valid_row_stay_finite():
+def test_vicreg_loss_no_or_one_valid_row_is_finite():
     z, z_next, valid = case(0)
     none = jnp.zeros_like(valid)
     for rows in (none, none.at[3].set(True)):

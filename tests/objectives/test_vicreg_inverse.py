@@ -17,8 +17,8 @@ from sndjax import (
 from sndjax.networks import MLP
 
 
-def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
-    """Eq. 5.9, its two terms computed apart."""
+def test_vicreg_inverse_loss_is_vicreg_plus_half_inverse_dynamics():
+    """Compare with eq. 5.9, its two terms computed separately."""
     rng = np.random.default_rng(0)
     z, z_next = (jnp.asarray(rng.normal(size=(6, 8)).astype(np.float32)) for _ in range(2))
     features, valid = Features(z, z_next, None, None), jnp.arange(6) < 5
@@ -33,6 +33,6 @@ def test_snd_vinv_is_vicreg_plus_half_the_inverse_loss():
     assert {"vicreg_variance", "inverse_dynamics"} <= set(metrics)
 
 
-def test_a_part_with_a_moving_average_is_refused():
+def test_weighted_sum_part_with_ema_raises_value_error():
     with pytest.raises(ValueError, match="ema_decay"):
         weighted_sum((1, vicreg()), (1, byol()))

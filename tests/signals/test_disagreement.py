@@ -14,7 +14,7 @@ VECTOR = KINDS[2]
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 6))
-def test_equals_the_variance_in_float64(seed, members):
+def test_ensemble_variance_random_members_equals_variance_in_float64(seed, members):
     predicted = np.random.default_rng(seed).normal(size=(members, 5, 4)).astype(np.float32)
     exact = predicted.astype(np.float64)
     wanted = ((exact - exact.mean(0, keepdims=True)) ** 2).mean(0).mean(-1)
@@ -23,11 +23,11 @@ def test_equals_the_variance_in_float64(seed, members):
     np.testing.assert_allclose(ensemble_variance(jnp.asarray(predicted[order])), wanted, rtol=1e-4)
 
 
-def test_members_that_agree_see_nothing_novel():
+def test_ensemble_variance_equal_members_is_zero():
     np.testing.assert_array_equal(ensemble_variance(jnp.ones((5, 3, 2))), 0)
 
 
-def test_members_start_apart_and_the_reward_is_their_variance():
+def test_disagreement_members_start_different_and_reward_is_their_variance():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = make_module("none", "disagreement", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
@@ -45,8 +45,8 @@ def test_members_start_apart_and_the_reward_is_their_variance():
     np.testing.assert_allclose(np.asarray(reward).ravel()[valid], wanted[valid], rtol=1e-4)
 
 
-def test_each_member_learns_from_rows_of_its_own():
-    """The gradients of two members with equal weights differ: they saw different rows."""
+def test_disagreement_loss_each_member_learns_from_different_rows():
+    """The gradients of members with equal weights differ, because they use different rows."""
     made = rollout(VECTOR, np.random.default_rng(0))
     module = make_module("none", "disagreement", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])

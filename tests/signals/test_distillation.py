@@ -19,7 +19,7 @@ def case(seed, rows=6, width=4):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_equals_the_equations_in_float64(seed):
+def test_distillation_error_and_loss_random_features_equal_equations_in_float64(seed):
     a, b, valid = case(seed)
     squared = (np.asarray(a, np.float64) - np.asarray(b, np.float64)) ** 2
     np.testing.assert_allclose(distillation_error(a, b), squared.mean(1), rtol=1e-5)
@@ -31,7 +31,7 @@ def test_equals_the_equations_in_float64(seed):
         np.testing.assert_allclose(total, counted.sum(), rtol=1e-5)
 
 
-def test_no_gradient_reaches_the_target():
+def test_distillation_loss_gives_no_gradient_to_target():
     a, b, valid = case(0)
     for keep in (1.0, 0.25):
         loss = lambda a, b, keep=keep: distillation_loss(a, b, valid, jax.random.key(0), keep)
@@ -40,7 +40,7 @@ def test_no_gradient_reaches_the_target():
         assert not np.any(to_target)
 
 
-def test_a_random_quarter_of_the_entries_counts_and_others_the_next_time():
+def test_distillation_loss_update_proportion_draws_new_quarter_of_entries_each_time():
     rows, width = 200, 50
     zero, one = jnp.zeros((rows, width)), jnp.ones((rows, width))
     valid = jnp.arange(rows) < 150
@@ -51,10 +51,10 @@ def test_a_random_quarter_of_the_entries_counts_and_others_the_next_time():
         assert abs(mask[:150].mean() - 0.25) < 0.02
         assert mask[:150].mean(0).min() > 0  # features are drawn, not whole rows
     assert abs((masks[0] & masks[1])[:150].mean() - 1 / 16) < 0.02
-    np.testing.assert_allclose(loss(one, jax.random.key(0)), 1)  # still a mean over its entries
+    np.testing.assert_allclose(loss(one, jax.random.key(0)), 1)  # a mean over the drawn entries
 
 
-def test_rnd_subtracts_the_mean_of_what_it_has_seen_and_reads_the_reward_after():
+def test_rnd_reward_updates_running_mean_before_subtracting_it():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = rnd(VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
@@ -79,7 +79,7 @@ def test_rnd_subtracts_the_mean_of_what_it_has_seen_and_reads_the_reward_after()
 
 @pytest.mark.parametrize("mode", ["none", "mean", "standardize"])
 @pytest.mark.parametrize("kind", KINDS, ids=lambda k: k.name)
-def test_every_preprocessing_runs_on_every_input(mode, kind):
+def test_rnd_each_preprocess_on_each_input_is_finite(mode, kind):
     made = rollout(kind, np.random.default_rng(0))
     module = rnd(kind.actions, kind.size, preprocess=mode)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])

@@ -15,7 +15,7 @@ VECTOR = KINDS[2]
 
 
 def in_numpy(covariance, z, made, ridge=0.1):
-    """In float64 with the covariance itself, solved anew at every step."""
+    """Compute the bonus in float64 from the covariance itself, solved at every step."""
     first, valid = np.asarray(made.first), np.asarray(made.valid)
     z, width = np.asarray(z, np.float64), z.shape[-1]
     bonus = np.zeros(valid.shape)
@@ -32,7 +32,7 @@ def in_numpy(covariance, z, made, ridge=0.1):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_equals_the_ellipsoid_solved_anew_across_rollouts(seed):
+def test_elliptical_bonus_two_rollouts_equals_ellipsoid_solved_at_each_step(seed):
     rng = np.random.default_rng(seed)
     covariance = np.tile(0.1 * np.eye(3), (4, 1, 1))
     ours = jnp.tile(0.1 * jnp.eye(3)[None], (4, 1, 1))
@@ -46,8 +46,8 @@ def test_equals_the_ellipsoid_solved_anew_across_rollouts(seed):
     np.testing.assert_allclose(ours, covariance, rtol=1e-4, atol=1e-5)
 
 
-def test_a_state_met_k_times_is_worth_one_over_k_plus_ridge():
-    """Closed form for one direction: ||z||^2 / (ridge + k ||z||^2)."""
+def test_elliptical_bonus_state_met_k_times_is_one_over_k_plus_ridge():
+    """Compare with the closed form for one direction: ||z||^2 / (ridge + k ||z||^2)."""
     made = rollout(VECTOR, np.random.default_rng(0))
     no = jnp.zeros((8, 4), bool)
     made = made._replace(first=no.at[0].set(True), done=no, valid=~no)
@@ -56,8 +56,8 @@ def test_a_state_met_k_times_is_worth_one_over_k_plus_ridge():
     np.testing.assert_allclose(bonus[:, 0], [4 / (0.1 + 4 * k) for k in range(1, 9)], rtol=1e-4)
 
 
-def test_long_episodes_of_wide_correlated_features_stay_exact():
-    """1,500 steps that drift through 4 of 128 dimensions, in rollouts of 125, against float64."""
+def test_elliptical_bonus_long_episode_of_wide_correlated_features_is_exact():
+    """Compare 1,500 steps that drift through 4 of 128 dimensions, 125 a rollout, with float64."""
     rng, width, steps = np.random.default_rng(0), 128, 1500
     walk = np.zeros((steps + 1, 4))
     for t in range(steps):
@@ -77,11 +77,11 @@ def test_long_episodes_of_wide_correlated_features_stay_exact():
     np.testing.assert_allclose(np.concatenate(bonus), wanted, rtol=0.02)
 
 
-def test_wide_features_are_projected_and_the_reward_is_their_bonus():
+def test_e3b_reward_is_bonus_of_features_and_wide_features_are_projected():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = make_module("none", "e3b", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
-    assert state.signal.projection is None  # 16 features are few enough
+    assert state.signal.projection is None  # 16 features need no projection
     reward, _ = jax.jit(module.reward)(params, state, made, jax.random.key(1))
     encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
     z, _ = encoder.apply(state.encoder, made.frames.reshape(36, -1))

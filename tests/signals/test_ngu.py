@@ -20,7 +20,7 @@ def empty(envs, capacity, width):
 
 
 class InNumpy:
-    """Algorithm 1 of Badia et al. in float64, with lists for memories."""
+    """Compute algorithm 1 of Badia et al. in float64, with lists as memories."""
 
     def __init__(self, envs, capacity, kernel):
         self.lists, self.capacity, self.kernel = [[] for _ in range(envs)], capacity, kernel
@@ -50,7 +50,7 @@ class InNumpy:
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([3, 64]))
-def test_equals_algorithm_1_across_rollouts_and_a_full_memory(seed, capacity):
+def test_episodic_rewards_three_rollouts_with_full_memory_equals_algorithm_1(seed, capacity):
     kernel = Kernel(neighbours=2)
     rng = np.random.default_rng(seed)
     memory, oracle = empty(4, capacity, 3), InNumpy(4, capacity, kernel)
@@ -66,27 +66,27 @@ def test_equals_algorithm_1_across_rollouts_and_a_full_memory(seed, capacity):
         np.testing.assert_allclose(np.asarray(novelty)[valid], wanted[valid], rtol=2e-3)
 
 
-def test_ten_equal_neighbours_are_worth_one_over_the_root_of_ten():
-    """Closed form: distance 0 makes every kernel 1."""
+def test_episodic_rewards_ten_equal_neighbours_is_one_over_root_of_ten():
+    """Compare with the closed form: at distance 0 every kernel is 1."""
     no = jnp.zeros((20, 1), bool)
     made = rollout(VECTOR, np.random.default_rng(0))
     made = made._replace(first=no.at[0].set(True), done=no, valid=~no)
     novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, Kernel())
     wanted = [1 / (np.sqrt(min(k, 10)) + 1e-3) for k in range(1, 21)]
     np.testing.assert_allclose(novelty[:, 0], wanted, rtol=1e-5)
-    similar = Kernel(max_similarity=2.0)  # beyond it nothing is novel
+    similar = Kernel(max_similarity=2.0)  # above this similarity the reward is 0
     novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, similar)
     assert np.all(novelty[4:, 0] == 0)
     assert np.all(novelty[:3, 0] > 0)
 
 
-def test_the_lifelong_factor_is_between_one_and_its_most():
-    moments = RunningStatistics(jnp.array(9.0), jnp.array(2.0), jnp.array(36.0))  # deviation 2
+def test_lifelong_factor_low_or_high_error_is_clipped_to_one_and_maximum():
+    moments = RunningStatistics(jnp.array(9.0), jnp.array(2.0), jnp.array(36.0))  # std 2
     got = lifelong_factor(jnp.array([[0.0, 2.0, 4.0, 100.0]]), moments)
     np.testing.assert_allclose(got, [[1, 1, 2, 5]], rtol=1e-6)
 
 
-def test_the_reward_is_the_product_of_both():
+def test_ngu_reward_is_product_of_episodic_reward_and_lifelong_factor():
     no = jnp.zeros((8, 4), bool)
     made = rollout(VECTOR, np.random.default_rng(0))
     made = made._replace(first=no.at[0].set(True), done=no, valid=(~no).at[3, 1].set(False))

@@ -14,7 +14,7 @@ VECTOR = KINDS[2]
 
 
 def in_numpy(visited, code, made):
-    """One environment and one step at a time, with sets."""
+    """Find first visits with sets, one environment and one step at a time."""
     first, valid = np.asarray(made.first), np.asarray(made.valid)
     seen = [set(np.flatnonzero(row)) for row in np.asarray(visited)]
     new = np.zeros(valid.shape, bool)
@@ -31,7 +31,7 @@ def in_numpy(visited, code, made):
 
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 2**32 - 1))
-def test_first_visits_equal_sets_across_rollouts(seed):
+def test_first_visits_two_rollouts_equals_python_sets(seed):
     rng = np.random.default_rng(seed)
     visited = jnp.zeros((4, 6), bool)
     for _ in range(2):
@@ -45,7 +45,7 @@ def test_first_visits_equal_sets_across_rollouts(seed):
 
 @settings(deadline=None, max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 1))
-def test_the_gain_equals_its_equation(seed, alpha):
+def test_noveld_reward_random_novelty_equals_equation(seed, alpha):
     rng = np.random.default_rng(seed)
     novelty, new = rng.random((5, 3)).astype(np.float32), rng.random((4, 3)) < 0.5
     gain = lambda t, n: max(novelty[t + 1, n] - alpha * novelty[t, n], 0)
@@ -54,7 +54,7 @@ def test_the_gain_equals_its_equation(seed, alpha):
     np.testing.assert_allclose(got, wanted, rtol=1e-5, atol=1e-6)
 
 
-def test_the_reward_is_the_gain_in_distillation_novelty():
+def test_noveld_module_reward_is_gain_in_distillation_error_at_first_visits():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = make_module("vicreg", "noveld", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])

@@ -19,7 +19,7 @@ def case(seed, rows=6, width=4):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_equal_the_equations_in_float64(seed):
+def test_prediction_error_and_loss_random_features_equal_equations_in_float64(seed):
     a, b, valid = case(seed)
     squared = (np.asarray(a, np.float64) - np.asarray(b, np.float64)) ** 2
     np.testing.assert_allclose(prediction_error(a, b), np.tanh(squared.mean(1)), rtol=1e-5)
@@ -44,8 +44,8 @@ def encode_in_numpy(params, x):
     return x @ np.asarray(params["params"]["Dense_0"]["kernel"], np.float64)
 
 
-def test_the_reward_is_the_surprise_at_the_true_next_state():
-    """Rows of any minibatch boundary and episode end, with the networks in NumPy."""
+def test_sp_vic_reward_is_prediction_error_at_true_next_state():
+    """Compare every row, ends of episodes included, with the networks in NumPy."""
     made = rollout(VECTOR, np.random.default_rng(0), steps=12)
     module = sp_vic(VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
@@ -59,8 +59,8 @@ def test_the_reward_is_the_surprise_at_the_true_next_state():
 
 
 @pytest.mark.parametrize("gradient", ["symmetric", "detached", "asymmetric"])
-def test_the_forward_loss_moves_the_encoder_as_it_is_told(gradient):
-    """Against finite differences of the loss, with the parts held still that are detached."""
+def test_sp_prediction_loss_each_gradient_setting_equals_finite_differences(gradient):
+    """Compare with finite differences of the loss, where the detached parts are constant."""
     made = rollout(VECTOR, np.random.default_rng(0))
     rows, key = gather_transitions(made, jnp.arange(32)), jax.random.key(2)
     module = sp(VECTOR.actions, VECTOR.size, gradient=gradient)
@@ -73,7 +73,7 @@ def test_the_forward_loss_moves_the_encoder_as_it_is_told(gradient):
     then = encode_in_numpy(params.encoder, np.asarray(rows.next_frame, np.float64))
 
     def loss(shift):
-        """The loss as a function of the encoder's last layer, where a gradient may flow."""
+        """Compute the loss after a shift of the encoder's last layer, where a gradient may flow."""
         encoder = jax.tree.map(np.asarray, params.encoder)
         encoder["params"]["Dense_0"]["kernel"] = np.asarray(kernel(params), np.float64) + shift
         z = encode_in_numpy(encoder, np.asarray(rows.frame, np.float64))
@@ -89,7 +89,7 @@ def test_the_forward_loss_moves_the_encoder_as_it_is_told(gradient):
     assert (gradient == "asymmetric") == (slope == 0)
 
 
-def test_icm_weighs_its_losses_and_detaches_the_forward_target():
+def test_icm_loss_is_weighted_sum_and_detaches_the_forward_target():
     made = rollout(VECTOR, np.random.default_rng(0))
     rows, key = gather_transitions(made, jnp.arange(32)), jax.random.key(2)
     module = icm(VECTOR.actions, VECTOR.size)

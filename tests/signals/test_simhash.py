@@ -11,8 +11,8 @@ from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 VECTOR = KINDS[2]
 
 
-def test_the_reward_is_one_over_the_root_of_the_count_over_a_life():
-    """Eq. 4.18 with a Counter, over two rollouts; reset rows are not counted."""
+def test_simhash_reward_two_rollouts_is_one_over_root_of_count():
+    """Compare with eq. 4.18 by a Counter, over two rollouts; reset rows are not counted."""
     module = make_module("none", "simhash", VECTOR.actions, VECTOR.size)
     first = rollout(VECTOR, np.random.default_rng(0))
     params, state = jax.jit(module.init)(jax.random.key(0), first.frames[0])

@@ -45,10 +45,15 @@ class FrameShapeRewriter(ast.NodeTransformer):
 
 
 def adapt_script(script: str, ours: dict[str, Any], width: int) -> CodeType:
-    """The code of a script in which names of ours win over its definitions and imports.
+    """Compile a script in which our names replace its definitions and imports.
+
+    Args:
+      script: its text.
+      ours: our objects by name.
+      width: of a frame, which becomes 1 x `width`.
 
     Raises:
-      ConfigError: it does not have one of these names, so that it is another script.
+      ConfigError: the script does not have one of these names: it is another script.
 
     >>> code = adapt_script("def make(): return 1\\nx = make() + sum((84, 84))", {"make": int}, 2)
     >>> names = {"make": int}
@@ -84,10 +89,10 @@ def adapt_script(script: str, ours: dict[str, Any], width: int) -> CodeType:
 
 
 def parse_settings(text: str, peer: str) -> dict[str, Any]:
-    """The settings that a text names.
+    """Parse the settings in a text.
 
     Raises:
-      ConfigError: one has no value, or is not the script's to take.
+      ConfigError: a setting has no value, or is not one of the script's.
 
     >>> parse_settings("gamma=0.9,norm_adv=false,rnd.rwd_norm_type=rms", "rlexplore")
     {'gamma': 0.9, 'norm_adv': False, 'rnd.rwd_norm_type': 'rms'}
@@ -107,7 +112,7 @@ def parse_settings(text: str, peer: str) -> dict[str, Any]:
 
 
 def command_flags(settings: dict[str, Any]) -> list[str]:
-    """Settings as the scripts' command lines take them.
+    """Format settings for the scripts' command lines.
 
     >>> command_flags({"gamma": 0.9, "norm_adv": False, "rnd.beta": 2})
     ['--gamma', '0.9', '--no-norm-adv']
@@ -125,7 +130,7 @@ def command_flags(settings: dict[str, Any]) -> list[str]:
 
 
 def provenance(script: str) -> dict[str, Any]:
-    """What was run, to be known again."""
+    """Return the digest of the script and the versions of its packages."""
     found: dict[str, Any] = {"script_sha256": hashlib.sha256(script.encode()).hexdigest()}
     for package in PACKAGES:
         with suppress(PackageNotFoundError):

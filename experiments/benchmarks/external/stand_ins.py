@@ -19,22 +19,28 @@ class EpisodeCountingEnv:
     """The environments of a script, and the returns of the episodes that it saw."""
 
     def __init__(self, pool: Pool, bars: ProgressBars, total: int):
-        """Nothing was stepped yet; `total` steps are shown as the whole."""
+        """Start counting.
+
+        Args:
+          pool: the environments.
+          bars: the progress display.
+          total: the steps that it shows as the whole.
+        """
         self.pool, self.bars, self.total = pool, bars, total
         self.rows = 0
         self.ended: list[tuple[int, float]] = []  # rows so far, and the return
         self.running = np.zeros(pool.rows[1])
 
     def reset(self) -> np.ndarray:
-        """The first frames, float32 [N, D]."""
+        """Reset, and return the first frames, float32 [N, D]."""
         self.running[:] = 0
         return self.pool.reset()[0]
 
     def step(self, action: Any) -> EnvStep:
-        """One step of every environment, arrays [N, ...].
+        """Step every environment; arrays are [N, ...].
 
-        A reset takes a step of its own, as envpool and gymnasium have it; for the scripts it is a
-        step like others, one in 201 at most.
+        A reset takes a step of its own, as in envpool and gymnasium; for the scripts it is a normal
+        step, at most one in 201.
         """
         step = self.pool.step(np.asarray(action)[None])
         step = EnvStep(*(x if x is None else x[0] for x in step))  # type: ignore[arg-type]
@@ -47,7 +53,7 @@ class EpisodeCountingEnv:
         return step
 
     def summary(self, seed: int, trained: int) -> dict[str, Any]:
-        """What summary.json says of a seed; of the last `trained` steps, the others apart."""
+        """Return the entry of summary.json for the last `trained` steps, without the warm-up."""
         warm_up = self.rows - trained
         returns = [value for rows, value in self.ended if rows > warm_up]
         mean = lambda x: float(np.mean(x)) if x else None
@@ -65,14 +71,20 @@ class NullWriter:
     """A log that is not kept."""
 
     def __init__(self, *place: str):
-        """Takes what a SummaryWriter takes."""
+        """Accept the arguments of a SummaryWriter."""
 
     def __getattr__(self, name: str) -> Any:
         return lambda *args, **named: None
 
 
 def linear(wide: int, features: int, gain: float = 2**0.5) -> Any:
-    """A linear layer with orthogonal weights and zero biases, as both scripts have them."""
+    """Make a linear layer with orthogonal weights and zero biases, as in both scripts.
+
+    Args:
+      wide: inputs.
+      features: outputs.
+      gain: of the weights.
+    """
     from torch import nn
 
     layer = nn.Linear(wide, features)
@@ -165,7 +177,13 @@ def rlexplore_networks(width: int, hidden: int = 64) -> dict[str, Any]:
 def cleanrl_adapter(
     envs: EpisodeCountingEnv, settings: dict[str, Any], seed: int
 ) -> dict[str, Any]:
-    """What CleanRL's script gets instead of Atari: old gym's four values, frames [N, 4, 1, D]."""
+    """Return what replaces Atari in CleanRL's script: old gym's API, frames [N, 4, 1, D].
+
+    Args:
+      envs: the environments.
+      settings: of the script.
+      seed: of the script.
+    """
     import gym
 
     (width,), size = envs.pool.shape, envs.pool.rows[1]
@@ -176,7 +194,7 @@ def cleanrl_adapter(
         observation_space = gym.spaces.Box(-1, 1, (4, 1, width))
 
         def __init__(self, *task: str, **options: Any):
-            """They ask for Atari."""
+            """Ignore the Atari task that is asked for."""
 
         def reset(self) -> np.ndarray:
             return stacked(envs.reset())
@@ -187,7 +205,7 @@ def cleanrl_adapter(
             return stacked(step.frame), step.reward, step.done, info
 
         def close(self) -> None:
-            """Who made the pool closes it."""
+            """Do nothing: the pool is closed by its owner."""
 
     return {"envpool": SimpleNamespace(make=Made)} | cleanrl_networks(width)
 
@@ -195,7 +213,13 @@ def cleanrl_adapter(
 def rlexplore_adapter(
     envs: EpisodeCountingEnv, settings: dict[str, Any], seed: int
 ) -> dict[str, Any]:
-    """What RLeXplore's script gets instead of Atari: a vector environment of gymnasium's."""
+    """Return what replaces Atari in RLeXplore's script: a gymnasium vector environment.
+
+    Args:
+      envs: the environments.
+      settings: of the script.
+      seed: of the script.
+    """
     import gymnasium
     from rllte.xplore.reward import RND
 
@@ -207,7 +231,7 @@ def rlexplore_adapter(
         single_observation_space = gymnasium.spaces.Box(-1, 1, (width,))
 
         def __init__(self, makers: list[Any]):
-            """The makers make Atari."""
+            """Ignore the functions that make Atari."""
 
         def reset(self, **options: Any) -> tuple[np.ndarray, dict[str, Any]]:
             return envs.reset(), {}

@@ -136,8 +136,8 @@ def test_a_preset_sets_the_same_for_every_algorithm_and_options_stand_over_it():
 
 
 REFUSED = [
-    ([], "say env=NAME, one of: Caveflyer"),
-    (["env=Venture"], "say algo=NAME, one of: grid, icm"),
+    ([], "give env=NAME, one of: Caveflyer"),
+    (["env=Venture"], "give algo=NAME, one of: grid, icm"),
     (["env=Ventur", "algo=rnd"], "did you mean Venture"),
     (["env=Venture", "algo=snd_vik"], "did you mean snd_vic"),
     (["env=envpool", "algo=rnd"], "needs a task"),
@@ -165,7 +165,7 @@ REFUSED = [
     (["env=Venture", "algo=ppo", "ppo.ext_weight=0"], "choose an intrinsic algorithm"),
     (["env=Venture", "algo=ppo", "algo.eta=1"], "no intrinsic reward"),
     (["env=Venture", "algo=ppo", "algo.signal=e3b"], "algo=ppo has no encoder"),
-    ([*VENTURE, "algo.objective=vicreg"], "algo=snd_std is a cell with its own"),
+    ([*VENTURE, "algo.objective=vicreg"], "algo=snd_std has a fixed objective and signal"),
     (["env=Venture", "algo=grid", "algo.signal=e3b"], "needs both"),
     (
         ["env=Venture", "algo=grid", "algo.signal=novel", "algo.objective=byol"],
@@ -174,7 +174,7 @@ REFUSED = [
     (["env=Venture", "algo=grid", "algo.signal=re3", "algo.objective=vic"], "did you mean vicreg"),
     (["env=Venture", "algo=icm", "algo.pairing=relu"], "no predictor network"),
     ([*VENTURE, "algo.gradient=detached"], "no forward loss"),
-    ([*VENTURE, "ppo.published_mask=true"], "algo=ppo alone"),
+    ([*VENTURE, "ppo.published_mask=true"], "only with algo=ppo"),
     ([*VENTURE, "algo.module=x.py:f"], "goes with algo=module"),
     (["env=Venture", "algo=module"], "goes with algo=module"),
     (["env=Venture", "algo.module=x.py"], "write FILE.py:FUNCTION"),
@@ -182,11 +182,11 @@ REFUSED = [
     (["env=gymnasium", "algo=rnd"], "env=gymnasium needs a task"),
     (["env=MiniGrid", "algo=rnd", "env.id=Pong-v5"], "env=MiniGrid is for MiniGrid-"),
     (["env=MiniGrid", "algo=rnd", "env.id=MiniGrid-X"], "unknown envpool task 'MiniGrid-X'"),
-    (["env=MiniGrid", "algo=rnd"], "env.id=MiniGrid-DoorKey-8x8-v0, say"),
+    (["env=MiniGrid", "algo=rnd"], "such as env.id=MiniGrid-DoorKey-8x8-v0"),
     (["env=Jumper", "algo=rnd", "preset=labtop"], "did you mean laptop"),
     ([*VENTURE, "network=tiny"], "network"),
-    ([*VENTURE, "env.id=Pong-v5"], "env=Venture has its own"),
-    ([*VENTURE, "env.suite=gymnasium"], "env=Venture has its own"),
+    ([*VENTURE, "env.id=Pong-v5"], "env=Venture has a fixed task"),
+    ([*VENTURE, "env.suite=gymnasium"], "env=Venture has a fixed task"),
     (["env=Venture", "algo=ppo", "algo.shuffle=true"], "algo.shuffle: algo=ppo has no intrinsic"),
     (["env=Venture", "algo=ppo", "ppo.int_weight=2"], "ppo.int_weight: algo=ppo has no intrinsic"),
     ([*VENTURE, "ppo.ext_weight=0", "ppo.int_weight=0"], "nothing to learn from"),

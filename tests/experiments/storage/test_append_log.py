@@ -31,7 +31,8 @@ def test_a_log_that_is_not_what_was_marked_is_refused_and_left_alone(tmp_path):
     log.write("one\ntwo\n")
     mark = log.mark()
     log.close()
-    for text, words in (("one\ntwp\n", "not what"), ("one\n", "not what"), (None, "missing")):
+    damaged = (("one\ntwp\n", "does not match"), ("one\n", "does not match"), (None, "missing"))
+    for text, words in damaged:
         path.unlink() if text is None else path.write_text(text)
         with pytest.raises(ValueError, match=words):
             read_until_mark(path, mark)

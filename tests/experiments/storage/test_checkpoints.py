@@ -173,11 +173,11 @@ def test_a_missing_file_a_cut_one_and_a_log_that_does_not_fit_are_found(state, t
 
     def newer_does_not_fit(manifest):
         if manifest["iteration"] == 2:
-            raise ValueError("metrics.jsonl is not what was written")
+            raise ValueError("metrics.jsonl does not match its digest")
 
     iteration, _, _, said = restore(tmp_path, state, newer_does_not_fit)
     assert iteration == 1
-    assert "metrics.jsonl is not what was written" in said[0]
+    assert "metrics.jsonl does not match its digest" in said[0]
 
 
 def test_none_that_can_be_used_is_an_error_and_not_a_fresh_start(state, tmp_path):

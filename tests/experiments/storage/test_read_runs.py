@@ -42,7 +42,7 @@ def test_a_half_written_line_is_left_out_and_named(tmp_path):
         ("episodes.csv", "seed,step\n", "other columns"),
         ("episodes.csv", "seed,step\n1\n", "does not fit"),
         ("episodes.csv", "seed,step\n1\0" + 200_000 * "x" + "\n", "does not fit"),
-        ("config.yaml", "- 1\n", "no configuration"),
+        ("config.yaml", "- 1\n", "not a configuration"),
         ("config.yaml", "\0", "cannot be read"),
     ],
 )

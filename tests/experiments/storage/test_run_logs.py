@@ -119,7 +119,7 @@ def test_logs_that_were_changed_before_the_checkpoint_do_not_fit_it(tmp_path):
         check_logs(tmp_path / "a", [4], manifest["logs"])
     path = tmp_path / "a" / "episodes.csv"
     path.write_text(path.read_text().replace("5,8,3,1.0", "5,8,3,9.0"))
-    with pytest.raises(ValueError, match=r"episodes.csv is not what was written"):
+    with pytest.raises(ValueError, match=r"episodes.csv does not match its digest"):
         check_logs(tmp_path / "a", [4, 5], manifest["logs"])
 
 
