@@ -1,4 +1,4 @@
-"""What a frame goes through before it enters a motivation network (section 5.2.2)."""
+"""What a frame goes through before it enters an intrinsic module (section 5.2.2)."""
 
 from collections.abc import Callable
 from typing import Literal

@@ -1,7 +1,7 @@
 """The work of an environment step, worked out by hand from the networks and the loops.
 
 Forward 1, backward 2, for acting, the intrinsic rewards, the PPO epochs and one pass of the
-motivation module; a multiply-add is two operations. Nothing that a program saves by sharing or
+intrinsic module; a multiply-add is two operations. Nothing that a program saves by sharing or
 loses by doing it twice is in it: it is what the work of two programs is compared by.
 """
 
@@ -128,8 +128,8 @@ def intrinsic_flops(
     d, encode, copy = size.features, encoder_flops(own, shape), encoder_flops(learned, shape)
     rewards, trained = encode + copy, copy
     if signal == "prediction":
-        foresee = mlp_flops(d + num_actions, d, d, d)
-        rewards, trained = 2 * encode + foresee, foresee
+        forward_model = mlp_flops(d + num_actions, d, d, d)
+        rewards, trained = 2 * encode + forward_model, forward_model
     trained += objective_flops(of, size, shape, num_actions, rows)
     return rewards + encodings.get(of, 2.0 * TRAINED) * encode + TRAINED * trained
 

@@ -149,3 +149,15 @@ def test_a_run_is_repeated_in_a_directory_of_its_own(run):
             load_config([f"repeat={path}", more])
     with pytest.raises(ConfigError, match="no such file"):
         load_config([f"repeat={run}"])
+
+
+@pytest.mark.parametrize(("what", "other"), [("objective", "byol"), ("signal", "noveld")])
+def test_load_resumed_named_algorithm_of_another_cell_is_refused(tmp_path, what, other):
+    """A name is one cell: no configuration records one algorithm and trains another."""
+    made = load_config(["env=MountainCar", "algo=snd_vic"])
+    own = getattr(made.algo, what)
+    changed = text_of(made).replace(f"  {what}: {own}", f"  {what}: {other}")
+    assert changed != text_of(made)
+    (tmp_path / "config.yaml").write_text(changed)
+    with pytest.raises(ConfigError, match=f"algo.{what}={other}: algo=snd_vic is {own}"):
+        load_config([f"resume={tmp_path}"])
