@@ -48,6 +48,8 @@ def test_walks_of_contributing_give_an_objective_and_a_command_that_run(walked):
     run = [*CAR, *cell, "algo.minibatch_size=64", "total_steps=2048", "run_dir=one"]
     assert "finished: one" in call(walked, *run)
     assert "slow_distance" in (walked / "one" / "metrics.jsonl").read_text()
+    bench = call(walked, "bench", *CAR, *cell, "algo.minibatch_size=64", "total_steps=2048")
+    assert '"nominal_gflop_per_step": null' in bench  # its operations were not derived
     assert "first=0" in call(walked, "longest", "--help")
     assert call(walked, "longest", "one") == "seed 0: 200 steps\n"  # MountainCar's limit
 

@@ -68,7 +68,7 @@ def policy_flops(size: Architecture, stack: tuple[int, ...], num_actions: int, h
 
 def objective_flops(
     name: str, size: Architecture, shape: tuple[int, ...], num_actions: int, rows: int
-) -> float:
+) -> float | None:
     """Return the operations of an objective's loss per row, without its encodings.
 
     Args:
@@ -77,6 +77,9 @@ def objective_flops(
       shape: of a frame.
       num_actions: A.
       rows: of a minibatch.
+
+    Returns:
+      None for objectives whose operations were not derived.
     """
     d = size.features
     positions, channels = torso_flops(size.convolutions(size.last), size.hidden, shape)[2]
@@ -90,7 +93,7 @@ def objective_flops(
         "barlow_twins": mlp_flops(d, d),
         "inverse_dynamics": mlp_flops(2 * d, d, d, num_actions),
         "vicreg_inverse": 2 * mlp_flops(d, d) + mlp_flops(2 * d, d, d // 2, num_actions),
-    }[name]
+    }.get(name)
 
 
 def intrinsic_flops(
@@ -115,13 +118,14 @@ def intrinsic_flops(
 
     Returns:
       None where they were not derived: for signals other than distillation and prediction, for
-      BYOL, and for prediction where the objective does not read pairs.
+      BYOL and further objectives, and for prediction where the objective does not read pairs.
     """
     # Encodings per row: a frozen encoder sees s_t, SND-V's both views of every eighth row as
     # well, and the others learn from s_t and s_t+1.
     encodings = {"none": 1.0, "contrastive": 1 + TRAINED / 4}
-    unknown = of == "byol" or (signal == "prediction" and of in encodings)
-    if signal not in ("distillation", "prediction") or unknown:
+    shaping = objective_flops(of, size, shape, num_actions, rows)
+    unpaired = signal == "prediction" and of in encodings
+    if signal not in ("distillation", "prediction") or shaping is None or unpaired:
         return None
     inputs = num_actions if action_input else 0
     own, learned = make_encoder_and_predictor(OBJECTIVES[of], size, "elu", "asymmetric", inputs)
@@ -130,7 +134,7 @@ def intrinsic_flops(
     if signal == "prediction":
         forward_model = mlp_flops(d + num_actions, d, d, d)
         rewards, trained = 2 * encode + forward_model, forward_model
-    trained += objective_flops(of, size, shape, num_actions, rows)
+    trained += shaping
     return rewards + encodings.get(of, 2.0 * TRAINED) * encode + TRAINED * trained
 
 

@@ -20,6 +20,7 @@ from sndjax.train import (
     update_policy,
 )
 
+from ..config.library import has_action_input
 from ..config.schema import Config
 from ..system.errors import ConfigError
 from ..system.process import enable_compilation_cache
@@ -207,7 +208,7 @@ def config_gflop_per_step(
         agent.network.num_actions,
         config.ppo.epochs,
         config.algo.minibatch_size,
-        config.algo.name == "qrnd",
+        has_action_input(config.algo.name),
     )
     return None if work is None else work / 1e9
 

@@ -51,6 +51,12 @@ def has_forward_model(signal: str) -> bool:
     return "gradient" in constructor_parameters("signals", signal)
 
 
+def has_action_input(algorithm: str) -> bool:
+    """Return True if the networks of a named algorithm take the action as input (QRND)."""
+    row = algorithm_table().get(algorithm)
+    return row is not None and bool(row.options.get("action_input"))
+
+
 @cache
 def algorithm_table() -> dict[str, Any]:
     """Return `sndjax.algorithm_table.ALGORITHMS`: the named algorithms by name."""

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from ..system.errors import ConfigError, print_error
+from ..system.files import is_file
 from ..system.process import configure_xla
 from .compose import load_config
 from .help import default_of, tool_help
+from .saved import CONFIG
 from .schema import Config
 from .validation import check_range, unknown_name_error
 
@@ -182,4 +184,6 @@ def single_run(paths: list[Path]) -> Path:
     """
     if len(paths) != 1:
         raise ConfigError("give one run directory")
+    if not is_file(paths[0] / CONFIG):
+        raise ConfigError(f"{paths[0]}: there is no run (no {CONFIG})")
     return paths[0]

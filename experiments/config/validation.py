@@ -62,7 +62,7 @@ def unknown_name_error(what: str, name: str, known: Iterable[str]) -> ConfigErro
         return ConfigError(
             f"unknown {what} '{name}'; did you mean {' or '.join(lower[k] for k in near)}?"
         )
-    shown = f"known: {', '.join(known)}" if len(known) < 30 else "see --help"
+    shown = f"known: {', '.join(known) or 'none'}" if len(known) < 30 else "see --help"
     return ConfigError(f"unknown {what} '{name}'; {shown}")
 
 
