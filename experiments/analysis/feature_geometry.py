@@ -19,7 +19,7 @@ def feature_rank(z: np.ndarray) -> int:
 
 
 def pairwise_distances(x: np.ndarray) -> np.ndarray:
-    """Pairwise L2 distances, float64[M, M].
+    """Compute pairwise L2 distances, float64[M, M].
 
     >>> pairwise_distances(np.array([[0.0, 0.0], [3.0, 4.0]])).tolist()
     [[0.0, 5.0], [5.0, 0.0]]

@@ -14,7 +14,7 @@ Spaces = dict[str, np.ndarray]  # features float[M, d] by the name of their run
 
 
 def evenly_spaced(x: np.ndarray) -> np.ndarray:
-    """`SHOWN` of them, evenly spaced."""
+    """Return `SHOWN` of the states, evenly spaced."""
     return x if len(x) <= SHOWN else x[np.linspace(0, len(x) - 1, SHOWN).astype(int)]
 
 

@@ -63,17 +63,15 @@ class Search:
     """The archive of cells and the walks from them."""
 
     def __init__(self, seed: int):
-        """Only the start is known."""
+        """Start with the first state alone."""
         self.draw = np.random.default_rng(seed)
         self.emulator = Emulator()
         ram = self.emulator.ale.getRAM()
         state = self.emulator.ale.cloneState()
         self.nodes = [Node(-1, b"", state, 0, frozenset([int(ram[MONTEZUMA_ROOM])]))]
         self.cells = {cell_of(ram)}
-        self.chosen, self.reach = (
-            np.zeros(1 << 17),
-            np.ones(1 << 17),
-        )  # walks from, rooms on the way
+        self.chosen = np.zeros(1 << 17)  # walks from a node
+        self.reach = np.ones(1 << 17)  # rooms on the way to it
 
     def walk(self, start: Node) -> Iterator[tuple[bytes, np.ndarray]]:
         """Yield the random actions so far and the RAM, from a cell until a life is lost."""

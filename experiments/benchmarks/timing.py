@@ -24,7 +24,7 @@ class BenchmarkTimer:
     """Times some work, and a matrix product beside it: a shared machine is not always as fast."""
 
     def __init__(self) -> None:
-        """Nothing was timed yet."""
+        """Start without a measurement."""
         self.product = jax.jit(partial(jnp.matmul, precision="highest"))
         self.products: list[float] = []  # seconds
 

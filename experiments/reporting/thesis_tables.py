@@ -62,8 +62,8 @@ def mean_and_std(values: list[float]) -> str:
     >>> mean_and_std([1.0, 3.0]), mean_and_std([float("nan")])
     ('2.00 ± 1.00', '')
     """
-    there = np.array([value for value in values if np.isfinite(value)])
-    return f"{there.mean():.2f} ± {there.std():.2f}" if len(there) else ""
+    finite = np.array([value for value in values if np.isfinite(value)])
+    return f"{finite.mean():.2f} ± {finite.std():.2f}" if len(finite) else ""
 
 
 def format_steps(group: RunGroup) -> str:
@@ -74,13 +74,13 @@ def format_steps(group: RunGroup) -> str:
 
 def format_published(number: Published) -> str:
     """Format a number as the thesis prints it."""
-    deviation = "" if np.isnan(number.std) else f" ± {number.std:.10g}"
-    return f"{number.value:.10g}{deviation}"
+    std_text = "" if np.isnan(number.std) else f" ± {number.std:.10g}"
+    return f"{number.value:.10g}{std_text}"
 
 
 def thesis_table(table: str, groups: list[RunGroup]) -> Table:
     """Make one of `TABLES`: every number of the thesis, and ours if such runs exist."""
-    of = best_score if table == "5.7" else mean_return
+    quantity = best_score if table == "5.7" else mean_return
     rows = []
     known = thesis_numbers(table)
     for (env, algo, _), number in known.items():
@@ -88,7 +88,7 @@ def thesis_table(table: str, groups: list[RunGroup]) -> Table:
         for group in ours or [None]:
             cells = ["", "", ""]
             if group is not None:
-                found = [value for value in map(of, group.seeds) if np.isfinite(value)]
+                found = [value for value in map(quantity, group.seeds) if np.isfinite(value)]
                 cells = [mean_and_std(found), str(len(found)), format_steps(group)]
             name = algo if group is None else group.name
             rows.append([env, display_title(algo, name), *cells, format_published(number)])
@@ -111,14 +111,14 @@ def seeds_table(groups: list[RunGroup]) -> Table:
             for s in group.seeds
             if len(s.episodes["ext_return"])
         ]
-        band = bootstrap_interval(found, interquartile_mean)
+        interval = bootstrap_interval(found, interquartile_mean)
         rows.append(
             [
                 group.env,
                 display_title(group.algo, group.name),
                 str(len(found)),
                 f"{interquartile_mean(found):.3g}" if len(found) else "",
-                "" if band is None else f"{band[0]:.3g} to {band[1]:.3g}",
+                "" if interval is None else f"{interval[0]:.3g} to {interval[1]:.3g}",
                 mean_and_std(last),
             ]
         )
@@ -144,8 +144,9 @@ def improvement_table(groups: list[RunGroup]) -> Table:
             if ours == theirs or not shared:
                 cells.append("")
                 continue
-            value, band = mean_improvement([(own[e], other[e]) for e in shared])
-            cells.append(f"{value:.2f}" + (f" ({band[0]:.2f} to {band[1]:.2f})" if band else ""))
+            value, interval = mean_improvement([(own[e], other[e]) for e in shared])
+            around = f" ({interval[0]:.2f} to {interval[1]:.2f})" if interval else ""
+            cells.append(f"{value:.2f}{around}")
         rows.append([ours, *cells])
     caption = "Probability of improvement: a run of the row beats one of the column (95% interval)"
     return Table(["", *returns], rows, caption, "improvement")

@@ -48,7 +48,7 @@ class LiveTable:
     """Shows a sweep's jobs while they run; it reads their files in a thread of its own."""
 
     def __init__(self, directory: Path):
-        """Nothing was looked at yet."""
+        """Start without a look at the jobs."""
         self.directory = directory
         self.standings: list[JobStatus] = []
         self.begun = time.monotonic()
@@ -82,7 +82,7 @@ class LiveTable:
             self.first = sum(s.step for s in self.standings)
 
     def watch(self) -> None:
-        """Until the sweep is over, show what changed."""
+        """Show what changed until the sweep is over."""
         said = -float("inf")
         while not self.over.wait(LOOK_SECONDS):
             before = {s.job.name: s.state for s in self.standings}

@@ -63,7 +63,7 @@ PLUGINS = {"ray": "ray", "submitit_slurm": "slurm", "submitit_local": "slurm", "
 
 
 def compose_hydra(hydras: list[str]) -> DictConfig:
-    """Hydra's own configuration of a sweep.
+    """Return Hydra's own configuration of a sweep.
 
     Raises:
       ConfigError: it refuses what was asked.
@@ -277,7 +277,7 @@ class GracefulStop:
     """SIGINT and SIGTERM stop a sweep in order: no job begins, runs write a checkpoint and end."""
 
     def __init__(self, stop: Path):
-        """Nothing was asked yet; `stop` is the file that workers look for."""
+        """Take the file that workers look for; a signal makes it."""
         self.file, self.status = stop, 0
 
     def __enter__(self) -> "GracefulStop":

@@ -27,10 +27,10 @@ OURS = ("seed", "total_timesteps", "cuda")  # settings that other options say
 
 
 class FrameShapeRewriter(ast.NodeTransformer):
-    """Frames of a script become 1 x `width`."""
+    """Makes the frames of a script 1 x `width`."""
 
     def __init__(self, width: int):
-        """Two sides of a frame, one after the other, are how one is known."""
+        """Look for two sides of a frame, one after the other; they become 1 and `width`."""
         self.width = width
 
     def generic_visit(self, node: ast.AST) -> ast.AST:

@@ -1,4 +1,4 @@
-"""What stands in for Atari in other people's scripts: see `experiments.peers`.
+"""What stands in for Atari in other people's scripts: see `sndjax external`.
 
 torch and their own packages are imported where they are used: nothing else needs them.
 """
@@ -94,7 +94,7 @@ def linear(wide: int, features: int, gain: float = 2**0.5) -> Any:
 
 
 def cleanrl_networks(width: int, hidden: int = 64) -> dict[str, Any]:
-    """CleanRL's policy and RND for frames [B, 4, 1, D], of which the last is read.
+    """Return CleanRL's policy and RND for frames [B, 4, 1, D], of which the last is read.
 
     The linear layers stand where its own stand, with their gains; for three convolutions and
     the layer behind them there is one (policy) or two (RND).
@@ -149,7 +149,7 @@ def cleanrl_networks(width: int, hidden: int = 64) -> dict[str, Any]:
 
 
 def rlexplore_networks(width: int, hidden: int = 64) -> dict[str, Any]:
-    """RLeXplore's policy for frames [B, D]: heads of one layer on the torso, as its own."""
+    """Return RLeXplore's policy for frames [B, D]: heads of one layer on the torso, as its own."""
     import torch
     from torch import nn
 

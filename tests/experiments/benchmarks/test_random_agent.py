@@ -1,4 +1,4 @@
-"""experiments.chance: an agent of chance, on tasks whose answer is known."""
+"""sndjax random_agent: an agent of chance, on tasks whose answer is known."""
 
 import re
 
