@@ -5,16 +5,14 @@ their learning curves together.
 """
 
 import secrets
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from .config.schema import option
 from .config.tool_options import run_command
-from .system.errors import ConfigError
 from .system.process import run_script
-from .system.subprocesses import child_environment, command_line
+from .system.subprocesses import run_command_line
 
 ALGORITHMS = ("ppo", "snd_vic")
 
@@ -36,9 +34,8 @@ def demo(paths: list[Path], options: Options) -> None:
         arguments = ["env=MountainCar", f"algo={algo}", f"num_seeds={options.seeds}"]
         arguments += [f"total_steps={options.steps}", f"run_dir={run}"]
         print(f"\n$ sndjax {' '.join(arguments)}", flush=True)
-        command = command_line("run", *arguments)
-        if status := subprocess.run(command, env=child_environment(), check=False).returncode:
-            raise ConfigError(f"the run in {run} ended with status {status}")
+        if status := run_command_line("run", *arguments).returncode:
+            raise SystemExit(status if status > 0 else 128 - status)  # it printed the reason
     from .reporting.learning_curves import draw_curves
     from .storage.read_runs import find_runs, group_runs, read_summary
 

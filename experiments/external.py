@@ -18,6 +18,7 @@ from pathlib import Path
 from .config.schema import option
 from .config.tool_options import run_command
 from .system.errors import ConfigError
+from .system.files import is_file
 from .system.process import run_script
 
 
@@ -38,6 +39,8 @@ def external(paths: list[Path], options: Options) -> None:
     """Run the script, and write its figures."""
     if len(paths) != 1:
         raise ConfigError("give one script")
+    if not is_file(paths[0]):
+        raise ConfigError(f"{paths[0]}: there is no such file; give the script")
     from .benchmarks.external.run_script import run_peer
 
     out = Path(options.out)

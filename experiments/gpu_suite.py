@@ -8,6 +8,7 @@ Called again it resumes every run. Leaves a run directory for each, and a page o
 from dataclasses import dataclass
 from pathlib import Path
 
+from .config.compose import load_config
 from .config.schema import option
 from .config.tool_options import run_command
 from .system.process import run_script
@@ -32,6 +33,8 @@ def train(paths: list[Path], options: Options) -> None:
     from .benchmarks.gpu_suite import run_suite
 
     cells = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]
+    for env, algo in cells:
+        load_config([f"env={env}", f"algo={algo}"])  # a wrong name is refused before any run
     run_suite(cells, Path(options.out), options.minutes, options.at_once, options.cpu)
 
 

@@ -30,7 +30,6 @@ def report(paths: list[Path], options: Options) -> None:
     from .reporting.run_report import REFRESH_SECONDS, write_report
 
     out = Path(options.out)
-    out.mkdir(parents=True, exist_ok=True)
     while options.live:
         try:
             write_report(paths, out, live=True)

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> int:
     0 done; 1 stopped by a full disk or by a number that is not finite; 2 bad input; 130 and 143
     stopped by SIGINT and SIGTERM.
     """
-    if asks_for_help(arguments):
+    if asks_for_help(arguments) or list(arguments[:1]) == ["help"]:
         print(run_help())
         return 0
     if set(arguments) & {"-m", "--multirun"}:
@@ -49,7 +49,7 @@ def open_run_directory(config: Config) -> RunDirectory | FollowerDirectory:
     """Return the directory that this process writes to; the first process has the run's.
 
     Raises:
-      ConfigError: it cannot be written to; all processes are told.
+      ConfigError: it cannot be written to; all processes get the error.
     """
     if not config.distributed:
         return RunDirectory(config)

@@ -214,8 +214,8 @@ def make_module(
       ValueError: there is no such objective or signal; the known ones are named.
 
     >>> from sndjax import VECTOR
-    >>> make_module("inverse_dynamics", "re3", 3, VECTOR)
-    IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=3), preprocess='none')
+    >>> make_module("inverse_dynamics", "re3", 3, VECTOR)  # doctest: +ELLIPSIS
+    IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=3), preprocess='none', ...)
     """
     for what, name, known in (("objective", objective, OBJECTIVES), ("signal", signal, SIGNALS)):
         if name not in known:

@@ -76,13 +76,11 @@ def make_intrinsic_module(
     """Return the module that reads `signal` off `encoder` while `objective` shapes it.
 
     Args:
-      encoder: the network that features come from. Objectives train it; whether a signal does is
-        the signal's own matter.
+      encoder: the network that features come from; objectives train it, and some signals do.
       objective: what trains the encoder on pairs (s_t, s_t+1). None: the encoder stays random.
       signal: what is read off it.
       num_actions: A, of the environment.
-      preprocess: what frames go through first; a rollout is added to the running statistics
-        before its rewards are read.
+      preprocess: of frames; a rollout updates its running statistics before its rewards are read.
       weights: of the objective's and of the signal's loss.
 
     Returns:
@@ -95,7 +93,6 @@ def make_intrinsic_module(
     (True, True, True)
     """
     parts = Parts(encoder, objective, signal, num_actions, preprocess, weights)
-
     return IntrinsicModule(
         init=partial(init_module, parts),
         reward=partial(module_reward, parts),
@@ -103,7 +100,10 @@ def make_intrinsic_module(
         update=partial(update_target, parts),
         features=partial(module_features, parts),
         has_published_scale=signal.has_published_scale,
-        description=f"objective={objective!r}, signal={signal!r}, preprocess={preprocess!r}",
+        description=(
+            f"objective={objective!r}, signal={signal!r}, preprocess={preprocess!r}, "
+            f"weights={weights!r}, {encoder.description}"
+        ),
     )
 
 

@@ -133,6 +133,12 @@ class Encoder(nn.Module):
     extra_activation: Activation = "elu"  # between the linear layers
     num_actions: int = 0
 
+    @property
+    def description(self) -> str:
+        """Its settings that differ between modules, for the `repr` of a module."""
+        text = f"activation={self.activation!r}, extra_activation={self.extra_activation!r}"
+        return text + (", action_input=True" if self.num_actions else "")
+
     @nn.compact
     def __call__(
         self, frames: Shaped[Array, "B *frame"], action: Int[Array, " B"] | None = None

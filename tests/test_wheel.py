@@ -6,12 +6,14 @@ import subprocess
 import sys
 import sysconfig
 import zipfile
+from importlib.util import find_spec
 
 import pytest
 from helpers.processes import ROOT
 
-pytest.importorskip("pip", reason="the wheel is built and installed with pip")
-
+# An environment made without ensurepip has no pip; then the system's Python has one (bootstrap.py).
+PYTHON = sys.executable if find_spec("pip") else os.path.join(sys.base_prefix, "bin", "python3")
+PIP = [PYTHON, "-m", "pip"]
 QUICK = ["env=MountainCar", "algo=rnd", "num_envs=4", "rollout_length=32"]
 QUICK += ["ppo.minibatch_size=64", "algo.minibatch_size=64", "total_steps=512"]
 BOMB = "raise SystemExit('this is the experiments folder of the user')\n"
@@ -26,7 +28,7 @@ def wheel(tmp_path_factory):
     for name in ("sndjax", "experiments"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     out = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation"]
+    build = [*PIP, "--python", sys.executable, "wheel", "-q", "--no-deps", "--no-build-isolation"]
     subprocess.run([*build, "-w", str(out), str(source)], check=True, capture_output=True)
     (found,) = out.glob("*.whl")
     return found
@@ -38,7 +40,7 @@ def installed(wheel, tmp_path_factory):
     place = tmp_path_factory.mktemp("fresh")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place)], check=True)
     python = place / "bin" / "python"
-    pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps"]
+    pip = [*PIP, "--python", str(python), "install", "-q", "--no-deps"]
     subprocess.run([*pip, str(wheel)], check=True, capture_output=True)
     code = "import sysconfig; print(sysconfig.get_path('purelib'))"
     done = subprocess.run([str(python), "-c", code], capture_output=True, text=True, check=True)

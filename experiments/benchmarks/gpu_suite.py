@@ -2,7 +2,6 @@
 
 import signal
 import subprocess
-import sys
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -10,16 +9,14 @@ from pathlib import Path
 from ..reporting.run_report import write_report
 from ..sweeps.job_runner import memory_sharing_variables
 from ..system.errors import ConfigError
-from ..system.subprocesses import start_command
+from ..system.subprocesses import run_code, start_command
 
 PATIENCE = 600.0  # seconds that a run may take from the signal to its checkpoint
 
 
 def jax_backend() -> str:
     """Return the name of the backend of jax, asked in a process that then releases it."""
-    code = "import jax; print(jax.default_backend())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    return done.stdout.strip()
+    return run_code("import jax; print(jax.default_backend())").stdout.strip()
 
 
 def wait_for_checkpoint(process: subprocess.Popen[bytes]) -> int:
@@ -98,9 +95,7 @@ def run_suite(
         print(f"{', '.join(names)}: {share / 60:.1f} minutes{where}", flush=True)
         statuses = zip(names, train_together(together, out, share, alone), strict=True)
         failed += [f"{name} (status {status})" for name, status in statuses if status]
-    page = out / "report"
-    page.mkdir(parents=True, exist_ok=True)
-    write_report([out], page)
+    write_report([out], out / "report")
     if failed:
         raise ConfigError(
             f"ended by themselves: {', '.join(failed)}; the others continue when called again"

@@ -1,12 +1,11 @@
 """The benchmark of each algorithm beside the committed figures."""
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
 from ..system.errors import ConfigError
-from ..system.subprocesses import ROOT, child_environment, command_line
+from ..system.subprocesses import ROOT, run_command_line
 from .compiled_cost import ALGORITHMS
 
 RESULTS = ROOT / "docs" / "results"
@@ -14,10 +13,8 @@ RESULTS = ROOT / "docs" / "results"
 
 def run_bench(*options: str) -> dict[str, Any]:
     """Run one benchmark in a process of its own, and return its figures."""
-    command = command_line("bench", "env=Venture", *options)
-    done = subprocess.run(
-        command, stdout=subprocess.PIPE, text=True, check=True, env=child_environment()
-    )
+    done = run_command_line("bench", "env=Venture", *options, captured=True)
+    done.check_returncode()
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -38,7 +35,7 @@ def print_suite(names: list[str], write: bool) -> None:
     """
     if unknown := set(names) - set(ALGORITHMS):
         raise ConfigError(
-            f"no figures of {', '.join(sorted(unknown))}; there is {', '.join(ALGORITHMS)}"
+            f"no figures of {', '.join(sorted(unknown))}: write some of {', '.join(ALGORITHMS)}"
         )
     print(
         f"{'':<20}{'steps/s':>9}{'share of peak':>15}{'to before':>11}{'peak MB':>9}"

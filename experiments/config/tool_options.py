@@ -91,7 +91,7 @@ def parse_arguments(arguments: Sequence[str], kind: type[Options]) -> tuple[list
 
 def asks_for_help(arguments: Sequence[str]) -> bool:
     """Return True if a command line asks for help."""
-    return any(argument in ("-h", "--help", "help") for argument in arguments)
+    return any(argument in ("-h", "--help") for argument in arguments)
 
 
 def exit_status(body: Callable[[], None]) -> int:
@@ -169,11 +169,29 @@ def run_config_command(
 
 
 def split_arguments(arguments: Sequence[str], kind: Any) -> tuple[list[str], list[str]]:
-    """Return the arguments that are options of `kind`, and all other arguments."""
-    names = {entry.name for entry in fields(kind)}
-    named = lambda argument: argument.removeprefix("--").partition("=")[0].replace("-", "_")
-    own = [argument for argument in arguments if named(argument) in names]
-    return own, [argument for argument in arguments if argument not in own]
+    """Return the arguments that are options of `kind`, and all other arguments.
+
+    >>> from dataclasses import dataclass
+    >>> from experiments.config.schema import option
+    >>> @dataclass(frozen=True)
+    ... class Own:
+    ...     updates: int = option(10, "how many")
+    >>> split_arguments(["env=Venture", "--updates", "3", "seed=1"], Own)
+    (['--updates', '3'], ['env=Venture', 'seed=1'])
+    """
+    known = {entry.name: entry for entry in fields(kind)}
+    own, others, left = [], [], list(arguments)
+    while left:
+        argument = left.pop(0)
+        name, equals, _ = argument.removeprefix("--").partition("=")
+        name = name.replace("-", "_")
+        if name not in known:
+            others.append(argument)
+            continue
+        own.append(argument)
+        if not equals and left and not isinstance(default_of(known[name]), bool):
+            own.append(left.pop(0))  # --key value
+    return own, others
 
 
 def single_run(paths: list[Path]) -> Path:

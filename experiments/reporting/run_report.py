@@ -93,6 +93,7 @@ def write_report(paths: list[Path], out: Path, live: bool = False) -> None:
         print(f"left out: {path}: {reason}")
     if not runs:
         raise ConfigError(f"nothing to report in {', '.join(map(str, paths))}")
+    out.mkdir(parents=True, exist_ok=True)
     lead = f"{time.strftime('%Y-%m-%d %H:%M')}. A step is one agent step of one environment; an "
     lead += "Atari step is four emulator frames."
     page = out / "index.html"

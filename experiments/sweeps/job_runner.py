@@ -35,8 +35,8 @@ from .jobs import (
 SEARCH_METRIC = (
     "mean_ext_return"  # what a search maximises: it counts how early as well as how often
 )
-STOP_FILE = "stop"  # a file: no job begins, and those that run are told to end
-FAILURE_PREFIX = "job"  # how the word of a job's failure begins
+STOP_FILE = "stop"  # a file: no job begins, and those that run are asked to end
+FAILURE_PREFIX = "job"  # the first word of a job's failure
 PATIENCE = 60.0  # seconds that a run may take to end after its worker was killed
 MEMORY = 3 << 30  # bytes that a run may take (docs/results/speed.md)
 
@@ -174,13 +174,13 @@ def ignore_worker_signals(worker: bool) -> Iterator[None]:
 
 def wait_or_stop(process: subprocess.Popen[bytes], stop: Path) -> int:
     """Wait for a run, and return its status; send it a SIGTERM when the sweep is to stop."""
-    told = False
+    asked = False
     while True:
         with suppress(subprocess.TimeoutExpired):
             return process.wait(1.0)
-        if not told and stop.exists():
+        if not asked and stop.exists():
             process.terminate()
-            told = True
+            asked = True
 
 
 def failure_reason(lines: list[str], status: int) -> str:

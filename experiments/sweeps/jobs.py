@@ -34,7 +34,7 @@ class Job(NamedTuple):
     """One run of a sweep."""
 
     name: str  # <env>/<algo>/<seed>, and the other swept keys after it
-    overrides: list[str]  # what `experiments.run` is told
+    overrides: list[str]  # the arguments of `sndjax run`
     total: int  # steps per seed
     problem: str | None  # why it cannot run
 

@@ -94,13 +94,15 @@ class Sweep(NamedTuple):
 
     Attributes:
       directory: where it goes.
-      own: our options, those of the sweep's configuration first.
+      params: the values that the sweep's configuration lists.
+      own: our options of the command line.
       hydras: Hydra's options.
       hydra: Hydra's own configuration.
       is_search: a sweeper other than Hydra's basic one chooses the values.
     """
 
     directory: Path
+    params: list[str]
     own: list[str]
     hydras: list[str]
     hydra: DictConfig
@@ -123,7 +125,7 @@ def parse_command(arguments: Sequence[str]) -> Sweep:
     directory = Path(hydra.sweep.dir or default_directory(own, hydras)).resolve()
     params = [f"{key}={value}" for key, value in (hydra.sweeper.get("params") or {}).items()]
     is_search = not hydra.sweeper._target_.endswith(".BasicSweeper")
-    return Sweep(directory, [*params, *own] if not is_search else own, hydras, hydra, is_search)
+    return Sweep(directory, params, own, hydras, hydra, is_search)
 
 
 def multirun(arguments: Sequence[str]) -> int:
@@ -141,11 +143,9 @@ def multirun(arguments: Sequence[str]) -> int:
     before: list[JobStatus] | None = None  # of a search it is not known
     swept: tuple[str, ...] = ()
     if sweep.is_search:
-        params = sweep.hydra.sweeper.get("params") or {}
-        asked = sweep.own
-        swept = swept_keys([*(f"{key}={value}" for key, value in params.items()), *asked])
+        asked, swept = sweep.own, swept_keys([*sweep.params, *sweep.own])
     else:
-        before = prepare_jobs(directory, expand_jobs(sweep.own))
+        before = prepare_jobs(directory, expand_jobs([*sweep.params, *sweep.own]))
         left = [s.job.name for s in before if s.state in READY and not s.job.problem]
         if not left:
             return summarize(directory, before)
@@ -176,7 +176,8 @@ def multirun(arguments: Sequence[str]) -> int:
 
 def summarize(directory: Path, before: list[JobStatus] | None) -> int:
     """Print the state of the jobs, write the page, and return 0 if all requested jobs are done."""
-    found = {s.job.name: s for s in sweep_statuses(directory)}
+    has_jobs = (directory / FILES).is_dir()  # a search has none at first
+    found = {s.job.name: s for s in (job_statuses(directory) if has_jobs else [])}
     bad = {s.job.name: s for s in before or () if s.job.problem}
     names = found if before is None else [s.job.name for s in before]
     standings = [(found | bad)[name] for name in names]
@@ -186,17 +187,10 @@ def summarize(directory: Path, before: list[JobStatus] | None) -> int:
     return 0 if standings and all(s.state == DONE for s in standings) else 1
 
 
-def sweep_statuses(directory: Path) -> list[JobStatus]:
-    """Return how far the jobs are; a search has none at first."""
-    return job_statuses(directory) if (directory / FILES).is_dir() else []
-
-
 def write_page(directory: Path) -> None:
     """Write the page of what the jobs have so far."""
-    out = directory / "report"
-    out.mkdir(exist_ok=True)
     with suppress(ConfigError):  # nothing to show yet
-        write_report([directory], out)
+        write_report([directory], directory / "report")
 
 
 def prepare_jobs(directory: Path, listed: list[Job]) -> list[JobStatus]:
@@ -249,6 +243,17 @@ def print_prepared(directory: Path, statuses: list[JobStatus]) -> None:
             print(f"{words[state]}: {one.job.name}{f': {one.reason}' if one.reason else ''}")
 
 
+def launcher_error(lines: list[str]) -> str:
+    """Return what a launcher printed last; "" if that is the failure of one job.
+    >>> launcher_error(["joblib.externals.loky.BrokenProcessPool: a worker died"])
+    'joblib.externals.loky.BrokenProcessPool: a worker died'
+    >>> launcher_error(["job env=Venture: not finished", "Set HYDRA_FULL_ERROR=1 for more"])
+    ''
+    """
+    last = [line for line in lines if "HYDRA_FULL_ERROR" not in line][-2:]
+    return "" if any(line.startswith(f"{FAILURE_PREFIX} ") for line in last) else " ".join(last)
+
+
 def launch(runner: JobRunner, arguments: list[str]) -> str:
     """Run the sweep with Hydra; return launcher errors (job failures are shown in the table)."""
     before, complaint, conf = sys.argv, StringIO(), str(CONF.resolve())
@@ -259,8 +264,7 @@ def launch(runner: JobRunner, arguments: list[str]) -> str:
     except SystemExit as left:
         if left.code:
             lines = [line.strip() for line in complaint.getvalue().splitlines() if line.strip()]
-            last = [line for line in lines if "HYDRA_FULL_ERROR" not in line][-2:]
-            return "" if any(line.startswith(FAILURE_PREFIX) for line in last) else " ".join(last)
+            return launcher_error(lines)
     except KeyboardInterrupt:  # a second signal
         at_once = True
         return "interrupted"

@@ -1,4 +1,4 @@
-"""Starting commands of the laboratory in child processes; no other module does this.
+"""Starting Python in child processes; no other module of the laboratory does this.
 
 A child is started by the package name that the laboratory was imported under: `experiments` in a
 checkout, `sndjax_lab` where it is installed. With `-P` Python leaves the working directory out of
@@ -42,6 +42,31 @@ def child_environment(**variables: str) -> dict[str, str]:
         paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment["PYTHONPATH"] = os.pathsep.join(paths)
     return environment
+
+
+def run_command_line(
+    command: str, *arguments: str, captured: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """Run a command in a child process until it ends.
+
+    Args:
+      command: the name of the command, such as "run".
+      *arguments: the arguments of the command.
+      captured: keep what the child prints on stdout, instead of printing it.
+    """
+    return subprocess.run(
+        command_line(command, *arguments),
+        stdout=subprocess.PIPE if captured else None,
+        text=True,
+        env=child_environment(),
+        check=False,
+    )
+
+
+def run_code(code: str) -> subprocess.CompletedProcess[str]:
+    """Run some Python code in a child process, and keep what it prints."""
+    line = [sys.executable, "-P", "-c", code]
+    return subprocess.run(line, capture_output=True, text=True, check=False)
 
 
 def start_command(

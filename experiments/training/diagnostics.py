@@ -143,8 +143,8 @@ def announcements(config: Config, agent: AgentSpec, done: int) -> Iterator[str]:
     has_scale = agent.intrinsic is None or agent.intrinsic.module.has_published_scale
     if not has_scale and config.algo.reward_scale == "none":
         yield (
-            f"the signal {config.algo.signal} has no published scale: unless its share of "
-            "clipped rewards stays low, take algo.reward_scale=running_std"
+            "the bonus has no published scale: unless its share of clipped rewards stays low, take "
+            "algo.reward_scale=running_std"
         )
     if 0 < done < config.iterations:
         yield f"resuming from iteration {done}; environments begin new episodes"

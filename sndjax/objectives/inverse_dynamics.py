@@ -28,7 +28,7 @@ def inverse_dynamics_loss(
       valid: the rows that count.
 
     Returns:
-      The scalar loss, and the loss with the share of rows whose action was told.
+      The scalar loss, and the loss with the share of rows whose action was predicted correctly.
 
     >>> loss, _ = inverse_dynamics_loss(jnp.zeros((2, 4)), jnp.array([0, 3]), jnp.ones(2, bool))
     >>> loss.round(4)

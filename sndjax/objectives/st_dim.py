@@ -22,7 +22,7 @@ def contrast(
     candidate: Float[Array, "B P C"] | Float[Array, "B 1 C"],
     valid: Bool[Array, " B"],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Compute how well each state's true successor is told from the batch's other states.
+    """Compute how well each state's true successor is distinguished from the batch's other states.
 
     The logits of position p are `local[:, p] @ candidate[:, p].T`, [B, B]; row b is
     softmaxed over the valid candidates and its cross-entropy against candidate b taken.

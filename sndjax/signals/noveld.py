@@ -91,7 +91,7 @@ def noveld(
 ) -> Signal:
     """Make the gain in distillation novelty from s_t to s_t+1, once per state and episode.
 
-    Zhang et al. (2021), whose novelty is RND's. States are told apart within an episode by a
+    Zhang et al. (2021), whose novelty is RND's. States are distinguished within an episode by a
     SimHash of `num_hash_bits` signs of their features, N * 2^num_hash_bits flags in the state.
 
     Args:

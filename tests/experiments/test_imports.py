@@ -33,6 +33,12 @@ def imports(path):
 FILES = [path for path in sorted(LAB.rglob("*.py")) if path.name != "__init__.py"]
 
 
+@pytest.mark.parametrize("path", sorted(LAB.rglob("__init__.py")), ids=lambda p: p.parent.name)
+def test_init_file_of_a_package_holds_a_docstring_alone(path):
+    tree = ast.parse(path.read_text())
+    assert tree.body == [] or (len(tree.body) == 1 and ast.get_docstring(tree))
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(LAB)))
 def test_imports_of_a_module_are_of_its_package_or_above(path):
     room, *below = path.relative_to(LAB).parts
