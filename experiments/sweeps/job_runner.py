@@ -47,7 +47,7 @@ class JobFailed(CompactHydraException):
 
 @dataclass(frozen=True)
 class JobRunner:
-    """What a launcher runs: one job, in a process of its own. It can be pickled to a worker."""
+    """What a launcher runs: one job, in a process of its own. It can be sent to a worker."""
 
     directory: str
     start: str  # the directory that the sweep was started in

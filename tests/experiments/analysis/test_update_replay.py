@@ -54,7 +54,7 @@ def test_a_number_that_is_not_finite_stops_the_run_and_can_be_looked_at(broken, 
     dump = path / "wrong-3"
     assert f"sndjax replay {dump}" in err
     assert replay([str(dump)]) == 2
-    assert f"say {broken} again if you trust it" in capfd.readouterr().err
+    assert f"repeat {broken} on the command line, if you trust it" in capfd.readouterr().err
     assert replay([str(dump), broken]) == 0
     out = capfd.readouterr().out
     assert "after the update, seed 0: module_loss is nan" in out

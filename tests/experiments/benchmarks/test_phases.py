@@ -1,8 +1,10 @@
 import json
+import os
 import subprocess
 import sys
 
 import pytest
+from helpers.processes import ROOT
 
 from experiments.bench import main
 from experiments.benchmarks import timing
@@ -63,7 +65,10 @@ def test_phases_are_timed_on_whole_minibatches():
 )
 def test_bad_input_is_one_line(arguments, tmp_path):
     command = [sys.executable, "-m", "experiments.bench", *arguments]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert not list(tmp_path.iterdir())
