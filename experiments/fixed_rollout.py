@@ -1,7 +1,7 @@
-"""Learn one rollout ten times: sndjax fixed_rollout env=Venture algo=snd_std
+"""Learn one rollout several times: sndjax fixed_rollout env=Venture algo=snd_std
 
 Collects one real rollout with the policy as it starts, then lets only the intrinsic module learn
-from it for ten updates, and prints its losses, means over minibatches. Whether a module learns at
+from it for some updates, and prints its losses, means over minibatches. Whether a module learns at
 all is seen here, with nothing else moving.
 """
 

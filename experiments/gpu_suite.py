@@ -32,10 +32,10 @@ def train(paths: list[Path], options: Options) -> None:
     """Train everything, each for its share of the time, and write the page."""
     from .benchmarks.gpu_suite import run_suite
 
-    cells = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]
-    for env, algo in cells:
+    pairs = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]
+    for env, algo in pairs:
         load_config([f"env={env}", f"algo={algo}"])  # a wrong name is refused before any run
-    run_suite(cells, Path(options.out), options.minutes, options.at_once, options.cpu)
+    run_suite(pairs, Path(options.out), options.minutes, options.at_once, options.cpu)
 
 
 def main(arguments: list[str]) -> int:

@@ -30,7 +30,7 @@ def wait_for_checkpoint(process: subprocess.Popen[bytes]) -> int:
 
 
 def train_together(
-    cells: list[tuple[str, str]], out: Path, seconds: float, alone: bool
+    pairs: list[tuple[str, str]], out: Path, seconds: float, alone: bool
 ) -> list[int]:
     """Train side by side for so many seconds, from where the runs stand; return their statuses.
 
@@ -38,7 +38,7 @@ def train_together(
     begun.
 
     Args:
-      cells: environments and algorithms.
+      pairs: environments and algorithms.
       out: where the runs are.
       seconds: until the SIGTERM.
       alone: one run has the GPU and the terminal; others leave each other memory, and write to
@@ -48,7 +48,7 @@ def train_together(
     variables = {} if alone else memory_sharing_variables()
     with ExitStack() as files:
         try:
-            for env, algo in cells:
+            for env, algo in pairs:
                 run_dir, output = out / env / algo, None
                 if not alone:
                     run_dir.parent.mkdir(parents=True, exist_ok=True)
@@ -68,12 +68,12 @@ def train_together(
 
 
 def run_suite(
-    cells: list[tuple[str, str]], out: Path, minutes: float, at_once: int, cpu: bool
+    pairs: list[tuple[str, str]], out: Path, minutes: float, at_once: int, cpu: bool
 ) -> None:
     """Train everything, each for its share of the time, and write the page.
 
     Args:
-      cells: environments and algorithms.
+      pairs: environments and algorithms.
       out: where the runs are; called again it resumes them.
       minutes: for all runs together.
       at_once: runs side by side.
@@ -87,7 +87,7 @@ def run_suite(
             "jax sees no GPU here: not run (.venv/bin/pip install 'jax[cuda12]' if there is one; "
             "--cpu to run it all the same)"
         )
-    rounds = [cells[k : k + at_once] for k in range(0, len(cells), at_once)]
+    rounds = [pairs[k : k + at_once] for k in range(0, len(pairs), at_once)]
     share, alone, failed = 60 * minutes / len(rounds), at_once == 1, []
     for together in rounds:
         names = [f"{env} {algo}" for env, algo in together]

@@ -19,20 +19,20 @@ QUIET_SECONDS = 30  # between two lines, where there is no terminal
 COLOURS = dict(zip(STATES, ("green", "cyan", "yellow", "red", "bright_black"), strict=True))
 
 
-def status_table(standings: list[JobStatus]) -> str:
+def status_table(statuses: list[JobStatus]) -> str:
     """Format the jobs and their states as plain lines."""
-    width = max((len(s.job.name) for s in standings), default=4)
+    width = max((len(s.job.name) for s in statuses), default=4)
     lines = [f"{'job':<{width}}  {'state':<8}{'steps':>12}{'of':>14}  last-100 return"]
-    for s in standings:
+    for s in statuses:
         reason = f"  {s.reason}" if s.reason else ""
         lines.append(
             f"{s.job.name:<{width}}  {s.state:<8}{s.step:>12,}{s.job.total:>14,}"
             f"  {format_number(s.last100)}{reason}"
         )
-    return "\n".join([*lines, count_states(standings)])
+    return "\n".join([*lines, count_states(statuses)])
 
 
-def count_states(standings: list[JobStatus]) -> str:
+def count_states(statuses: list[JobStatus]) -> str:
     """Format how many jobs are in each state.
 
     >>> from experiments.sweeps.jobs import Job
@@ -40,8 +40,8 @@ def count_states(standings: list[JobStatus]) -> str:
     >>> count_states([JobStatus(job, "done", 10, None, ""), JobStatus(job, "waiting", 0, None, "")])
     '2 jobs: 1 done, 1 waiting'
     """
-    counts = [(sum(s.state == state for s in standings), state) for state in STATES]
-    return f"{len(standings)} jobs: {', '.join(f'{n} {state}' for n, state in counts if n)}"
+    counts = [(sum(s.state == state for s in statuses), state) for state in STATES]
+    return f"{len(statuses)} jobs: {', '.join(f'{n} {state}' for n, state in counts if n)}"
 
 
 class LiveTable:
@@ -50,7 +50,7 @@ class LiveTable:
     def __init__(self, directory: Path):
         """Start without a look at the jobs."""
         self.directory = directory
-        self.standings: list[JobStatus] = []
+        self.statuses: list[JobStatus] = []
         self.begun = time.monotonic()
         self.first: int | None = None  # steps of all jobs when it began
         self.over = threading.Event()
@@ -77,41 +77,41 @@ class LiveTable:
     def look(self) -> None:
         """See how the jobs stand."""
         with suppress(ConfigError):  # a search has none at first
-            self.standings = job_statuses(self.directory)
+            self.statuses = job_statuses(self.directory)
         if self.first is None:
-            self.first = sum(s.step for s in self.standings)
+            self.first = sum(s.step for s in self.statuses)
 
     def watch(self) -> None:
         """Show what changed until the sweep is over."""
         said = -float("inf")
         while not self.over.wait(LOOK_SECONDS):
-            before = {s.job.name: s.state for s in self.standings}
+            before = {s.job.name: s.state for s in self.statuses}
             with suppress(OSError):  # a file that is replaced while it is read, or nobody to read
                 self.look()
                 if self.live is not None:
                     self.live.update(self.render(), refresh=True)
                     continue
-                for s in self.standings:
+                for s in self.statuses:
                     if before.get(s.job.name, WAITING) != s.state:
                         more = s.reason or f"last-100 return {format_number(s.last100)}"
                         print(f"{s.job.name}: {s.state}, {s.step:,} steps, {more}", flush=True)
-                if self.standings and time.monotonic() - said > QUIET_SECONDS:
+                if self.statuses and time.monotonic() - said > QUIET_SECONDS:
                     said = time.monotonic()
                     print(self.summary(), flush=True)
 
     def summary(self) -> str:
         """Format one line: jobs, steps, and the time that is left at the rate so far."""
-        done = sum(s.step for s in self.standings)
-        total = sum(s.job.total for s in self.standings if not s.job.problem)
+        done = sum(s.step for s in self.statuses)
+        total = sum(s.job.total for s in self.statuses if not s.job.problem)
         gained, gone = done - (self.first or 0), time.monotonic() - self.begun
         left = f", {format_duration(gone * (total - done) / gained)} left" if gained else ""
         steps = f"{done:,} of {total:,} steps in {format_duration(gone)}"
-        return f"{count_states(self.standings)}; {steps}{left}"
+        return f"{count_states(self.statuses)}; {steps}{left}"
 
     def render(self) -> Group:
         """Return the display of this moment: the running jobs, and one line about all."""
         shown = Table.grid(padding=(0, 2))
-        for s in self.standings:
+        for s in self.statuses:
             if s.state in (RUNNING, FAILED):
                 filled = round(20 * s.step / max(s.job.total, 1))
                 bar = Text("━" * filled, "green") + Text("━" * (20 - filled), "bright_black")

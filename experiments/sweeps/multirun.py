@@ -180,11 +180,11 @@ def summarize(directory: Path, before: list[JobStatus] | None) -> int:
     found = {s.job.name: s for s in (job_statuses(directory) if has_jobs else [])}
     bad = {s.job.name: s for s in before or () if s.job.problem}
     names = found if before is None else [s.job.name for s in before]
-    standings = [(found | bad)[name] for name in names]
-    print(status_table(standings))
-    if any(s.step for s in standings):
+    statuses = [(found | bad)[name] for name in names]
+    print(status_table(statuses))
+    if any(s.step for s in statuses):
         write_page(directory)
-    return 0 if standings and all(s.state == DONE for s in standings) else 1
+    return 0 if statuses and all(s.state == DONE for s in statuses) else 1
 
 
 def write_page(directory: Path) -> None:
@@ -208,8 +208,8 @@ def prepare_jobs(directory: Path, listed: list[Job]) -> list[JobStatus]:
         known, last = before.get(job.name, (None, {}))
         if job.problem is None and (other := find_conflict(directory, job, known)):
             job = job._replace(problem=other)  # what is there stays as it is
-        now.append(standing := job_status(directory, job, last))
-        at_work = standing.state in (RUNNING, DONE)
+        now.append(current := job_status(directory, job, last))
+        at_work = current.state in (RUNNING, DONE)
         if known is None or not (at_work or job.problem):
             write_job(directory, job, **last)
     print_prepared(directory, now)

@@ -23,7 +23,7 @@ def call(arguments, cwd):
     )
 
 
-def test_table_of_commands_names_every_file_beside_it():
+def test_COMMANDS_files_of_the_folder_are_all_in_the_table():
     files = {path.stem for path in (ROOT / "experiments").glob("*.py")} - {"__init__", "cli"}
     assert files == {*COMMANDS, *ALIASES}
     assert set(ALIASES.values()) <= set(COMMANDS)
@@ -33,7 +33,7 @@ def test_table_of_commands_names_every_file_beside_it():
 
 
 @pytest.mark.parametrize("name", [*COMMANDS, *ALIASES])
-def test_help_of_a_command_comes_at_once_with_every_option_and_starts_nothing(name, tmp_path):
+def test_main_help_shows_every_option_in_two_seconds_and_starts_nothing(name, tmp_path):
     before = os.times()
     done = call([f"experiments.{name}", "--help"], tmp_path)
     after = os.times()
@@ -50,7 +50,7 @@ def test_help_of_a_command_comes_at_once_with_every_option_and_starts_nothing(na
     assert (through_table.returncode, through_table.stdout) == (0, done.stdout)
 
 
-def test_help_of_a_tool_shows_ranges_and_defaults(tmp_path):
+def test_tool_help_ranges_and_defaults_are_shown(tmp_path):
     shown = call(["experiments.evaluate", "--help"], tmp_path).stdout
     assert "  episodes=16                that each seed plays, side by side [1 to 1024]" in shown
     shown = call(["experiments.bench", "--help"], tmp_path).stdout
@@ -59,7 +59,7 @@ def test_help_of_a_tool_shows_ranges_and_defaults(tmp_path):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_bad_input_of_a_command_is_one_line_and_status_2(name, tmp_path):
+def test_main_unknown_option_is_one_line_and_status_2(name, tmp_path):
     done = call([f"experiments.{name}", "nothing=1"], tmp_path)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
@@ -76,7 +76,7 @@ def test_bad_input_of_a_command_is_one_line_and_status_2(name, tmp_path):
     ],
     ids=" ".join,
 )  # fmt: skip
-def test_missing_files_and_wrong_names_are_one_line_and_leave_nothing(arguments, tmp_path):
+def test_main_missing_file_or_wrong_name_is_one_line_and_leaves_nothing(arguments, tmp_path):
     done = call(["experiments.cli", *arguments], tmp_path)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
@@ -85,7 +85,7 @@ def test_missing_files_and_wrong_names_are_one_line_and_leave_nothing(arguments,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_processes_are_started_from_one_file():
+def test_subprocesses_starters_in_the_laboratory_are_in_one_file():
     starters = {
         path.name
         for path in (ROOT / "experiments").rglob("*.py")
@@ -97,7 +97,7 @@ def test_processes_are_started_from_one_file():
     assert starters == {"subprocesses.py", "versions.py"}  # versions.py asks git
 
 
-def test_help_imports_no_jax():
+def test_main_help_imports_no_jax():
     code = "import sys; from experiments.cli import main; assert main(sys.argv[1:]) == 0\n"
     code += "assert not {'jax', 'envpool', 'flax', 'sndjax'} & set(sys.modules), 'imported'"
     for name in COMMANDS:
@@ -108,14 +108,14 @@ def test_help_imports_no_jax():
         assert done.returncode == 0, f"{name}: {done.stderr}"
 
 
-def test_split_command_of_a_run_an_alias_and_a_dashed_name():
+def test_split_command_run_alias_and_dashed_name_are_recognised():
     assert split_command(["env=Venture"]) == ("run", ["env=Venture"])
     assert split_command(["-m", "seed=0,1"]) == ("run", ["-m", "seed=0,1"])
     assert split_command(["seed-table", "runs"]) == ("seed_table", ["runs"])
     assert split_command(["explores", "runs"]) == ("seed_table", ["runs"])
 
 
-def test_main_of_an_unknown_command_names_the_nearest(capsys):
+def test_main_unknown_command_names_the_nearest(capsys):
     assert main(["repot", "runs/"]) == 2
     assert "unknown command 'repot'; did you mean report" in capsys.readouterr().err
     assert main([]) == 2

@@ -70,7 +70,7 @@ def one_line(err):
 
 
 @pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.survival)])
-def test_no_command_line_makes_a_traceback_or_a_trace(count, tmp_path, monkeypatch, capfd):
+def test_main_generated_command_lines_leave_no_traceback(count, tmp_path, monkeypatch, capfd):
     """In this process; what is accepted is not trained."""
     monkeypatch.chdir(tmp_path)
     accepted = []
@@ -99,7 +99,7 @@ def test_no_command_line_makes_a_traceback_or_a_trace(count, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(40, marks=pytest.mark.survival)])
-def test_nor_does_one_that_a_shell_starts(count, tmp_path):
+def test_main_generated_command_lines_in_a_shell_make_no_traceback(count, tmp_path):
     draw = random.Random(count + 1)
     tried = 0
     while tried < count:
@@ -178,7 +178,7 @@ def longer(path):
 
 
 @pytest.mark.parametrize("count", [15, pytest.param(300, marks=pytest.mark.survival)])
-def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
+def test_run_resume_damaged_files_make_no_traceback(count, tmp_path, capfd, monkeypatch):
     """Each is gone on from by the real command: finished, or refused in a line and untouched."""
     run, copy = tmp_path / "run", tmp_path / "copy"
     arguments = [*CAR, "algo=ppo", "total_steps=512", "checkpoint_every=2"]
@@ -226,7 +226,7 @@ def test_no_file_that_is_read_back_makes_a_traceback(count, tmp_path, capfd, mon
 
 
 @pytest.mark.parametrize("count", [6, pytest.param(60, marks=pytest.mark.survival)])
-def test_no_dump_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
+def test_replay_damaged_dumps_make_no_traceback(count, tmp_path, capfd, monkeypatch):
     """Up to the update that is run again."""
     path, copy = tmp_path / "run", tmp_path / "copy"
     command = [*CAR, "algo=ppo", "ppo.value_weight=3e38", "total_steps=256"]
@@ -251,7 +251,7 @@ def test_no_dump_makes_a_traceback(count, tmp_path, capfd, monkeypatch):
             one_line(err)
 
 
-def test_a_directory_from_elsewhere_executes_nothing():
+def test_read_saved_and_other_readers_of_stored_data_execute_nothing():
     """No pickle, no eval: the only readers of stored data in the tree are these."""
     readers = re.compile(r"pickle|\beval\(|\bexec\(|yaml\.(load|unsafe)|np\.load")
     root = validate.CONF.parents[1]

@@ -34,13 +34,13 @@ FILES = [path for path in sorted(LAB.rglob("*.py")) if path.name != "__init__.py
 
 
 @pytest.mark.parametrize("path", sorted(LAB.rglob("__init__.py")), ids=lambda p: p.parent.name)
-def test_init_file_of_a_package_holds_a_docstring_alone(path):
+def test_imports_of_init_files_are_none(path):
     tree = ast.parse(path.read_text())
     assert tree.body == [] or (len(tree.body) == 1 and ast.get_docstring(tree))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(LAB)))
-def test_imports_of_a_module_are_of_its_package_or_above(path):
+def test_imports_of_each_module_are_of_its_package_or_above(path):
     room, *below = path.relative_to(LAB).parts
     for target in imports(path):
         if below:  # in a package
@@ -51,12 +51,12 @@ def test_imports_of_a_module_are_of_its_package_or_above(path):
             assert target[0] in ORDER, f"imports {'.'.join(target)}"
 
 
-def test_imports_of_the_laboratory_have_no_circle():
+def test_imports_of_the_laboratory_form_no_circle():
     graph = {path.relative_to(LAB).with_suffix("").parts: set(imports(path)) for path in FILES}
     assert list(TopologicalSorter(graph).static_order())
 
 
-def test_library_imports_nothing_of_the_laboratory():
+def test_imports_of_the_library_name_nothing_of_the_laboratory():
     for path in (ROOT / "sndjax").rglob("*.py"):
         tree = ast.parse(path.read_text())
         names = [n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]

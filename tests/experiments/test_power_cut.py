@@ -61,7 +61,7 @@ class Disk:
 
 
 @pytest.mark.parametrize("cuts", [5, pytest.param(40, marks=pytest.mark.survival)])
-def test_after_a_power_cut_the_run_goes_on_from_a_whole_checkpoint(cuts, tmp_path, monkeypatch):
+def test_run_power_cut_resumes_from_a_complete_checkpoint(cuts, tmp_path, monkeypatch):
     path = tmp_path / "run"
     path.mkdir()
     with monkeypatch.context() as patch:

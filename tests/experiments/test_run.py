@@ -38,7 +38,7 @@ RUNS += [
 @pytest.mark.parametrize(
     ("env", "algorithm"), RUNS, ids=lambda x: x if isinstance(x, str) else x[-1]
 )
-def test_two_iterations_of_every_algorithm_on_every_kind_of_environment(
+def test_run_every_algorithm_on_every_kind_of_environment_trains(
     env, algorithm, tmp_path, capfd, monkeypatch
 ):
     """In this process, through the command's entry function."""
@@ -73,7 +73,7 @@ def test_two_iterations_of_every_algorithm_on_every_kind_of_environment(
 @pytest.mark.parametrize(
     "env", ["MountainCar", pytest.param("Venture", marks=pytest.mark.exhaustive)]
 )
-def test_a_seed_is_logged_apart_and_begins_as_it_would_alone(env, tmp_path):
+def test_run_several_seeds_each_starts_as_it_would_alone(env, tmp_path):
     common = [f"env={env}", "algo=snd_vic", *SMALL, "algo.minibatch_size=64", "total_steps=256"]
     train(tmp_path / "many", *common, "num_seeds=2", "seed=4")
     train(tmp_path / "alone", *common, "seed=5")
@@ -104,7 +104,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=lambda x: str(x)[-30:])
-def test_bad_input_is_one_line_and_status_two_within_five_seconds(arguments, words, tmp_path):
+def test_run_bad_input_is_one_line_and_status_2_within_five_seconds(arguments, words, tmp_path):
     full = tmp_path / "full"
     full.mkdir()
     (full / "mine").write_text("")
@@ -124,7 +124,7 @@ def test_bad_input_is_one_line_and_status_two_within_five_seconds(arguments, wor
     assert [p.name for p in full.iterdir()] == ["mine"]
 
 
-def test_an_option_that_envpool_refuses_leaves_nothing_behind(tmp_path):
+def test_run_option_refused_by_envpool_leaves_nothing(tmp_path):
     arguments = ["env=Venture", "algo=rnd", "env.options.no_such=1", f"run_dir={tmp_path / 'run'}"]
     status, _, err = run(arguments, tmp_path)
     assert status == 2
@@ -133,7 +133,7 @@ def test_an_option_that_envpool_refuses_leaves_nothing_behind(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_resume_from_another_configuration_is_refused_by_name(tmp_path):
+def test_run_resume_with_another_configuration_is_refused(tmp_path):
     train(tmp_path / "run", *CAR, "algo=ppo", "total_steps=256")
     before = (tmp_path / "run" / "metrics.jsonl").read_bytes()
     for change, words in (
@@ -146,14 +146,14 @@ def test_a_resume_from_another_configuration_is_refused_by_name(tmp_path):
     assert (tmp_path / "run" / "metrics.jsonl").read_bytes() == before
 
 
-def test_help_explains_every_option(tmp_path):
+def test_run_help_explains_every_option(tmp_path):
     status, out, _ = run(["--help"], tmp_path)
     assert status == 0
     for word in ("MontezumaRevenge", "snd_std", "ppo.learning_rate=0.0001", "num_seeds="):
         assert word in out
 
 
-def test_novelty_alone_is_a_run_and_pixels_of_other_games_too(tmp_path):
+def test_run_novelty_only_and_other_games_train(tmp_path):
     train(tmp_path / "car", *CAR, "algo=snd_vic", "ppo.ext_weight=0", "total_steps=256")
     train(
         tmp_path / "pong", "env=envpool", "env.id=Pong-v5", "algo=rnd", *SMALL,

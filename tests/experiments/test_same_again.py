@@ -19,9 +19,7 @@ VENTURE += ["ppo.minibatch_size=64", "algo.minibatch_size=64"]
         pytest.param([*VENTURE, "total_steps=256"], 2, marks=pytest.mark.survival),
     ],
 )
-def test_the_same_command_twice_at_once_and_repeated_alone_gives_the_same_bits(
-    arguments, iterations, tmp_path
-):
+def test_run_same_command_at_once_and_repeated_gives_the_same_bits(arguments, iterations, tmp_path):
     arguments = [*arguments, "num_seeds=2"]
     begin = lambda name: start([*arguments, f"run_dir={tmp_path / name}"], tmp_path)
     for process in [begin("a"), begin("b")]:
@@ -49,7 +47,7 @@ def test_the_same_command_twice_at_once_and_repeated_alone_gives_the_same_bits(
     assert summary["seeds"][0]["episodes"] > 0 or iterations == 2  # an Atari game is longer
 
 
-def test_a_learner_interrupted_and_resumed_on_a_recorded_rollout_gives_the_same_bits(tmp_path):
+def test_train_step_resumed_on_a_recorded_rollout_gives_the_same_bits(tmp_path):
     """Three updates in a row, against one, a checkpoint, a new process's start, and two more."""
     code = """
 import pickle, sys

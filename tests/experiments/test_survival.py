@@ -77,7 +77,7 @@ def until(path, command, more, number=signal.SIGTERM):
 
 
 @pytest.mark.parametrize("kills", [3, pytest.param(50, marks=survival)])
-def test_a_run_that_is_killed_at_random_moments_loses_nothing(kills, tmp_path):
+def test_run_killed_at_random_moments_loses_no_line(kills, tmp_path):
     path, draw = tmp_path / "run", random.Random(kills)
     command = [*CAR, "algo=rnd", "num_seeds=2", "checkpoint_every=3", "resume=auto"]
     command += ["total_steps=100_000_000", f"run_dir={path}"]
@@ -110,7 +110,7 @@ def test_a_run_that_is_killed_at_random_moments_loses_nothing(kills, tmp_path):
 LONG = ["env=MountainCar", "algo=rnd", "num_envs=64", "rollout_length=512", "ppo.minibatch_size=64"]
 
 
-def test_sigterm_during_an_update_of_minutes_breaks_it_off(tmp_path):
+def test_run_sigterm_during_a_long_update_breaks_it_off(tmp_path):
     path = tmp_path / "run"
     command = [*LONG, "ppo.epochs=1000", "total_steps=100_000_000", f"run_dir={path}"]
     with running(command, tmp_path, out=subprocess.PIPE) as process:
@@ -124,7 +124,7 @@ def test_sigterm_during_an_update_of_minutes_breaks_it_off(tmp_path):
     assert tree_of(path)[0] == len(lines(path)) == 0  # the one before the first update
 
 
-def test_an_update_that_is_broken_off_leaves_the_state_before_it(tmp_path):
+def test_run_update_broken_off_leaves_the_state_before_it(tmp_path):
     """Also where the newest checkpoint is older: the tenth iteration is the first that is due."""
     path = tmp_path / "run"
     command = [*LONG, "ppo.epochs=400", "total_steps=100_000_000", "checkpoint_every=10"]
@@ -141,7 +141,7 @@ def test_an_update_that_is_broken_off_leaves_the_state_before_it(tmp_path):
     check_nothing_lost(path, 1)
 
 
-def test_sigterm_while_a_run_starts_is_answered(tmp_path):
+def test_run_sigterm_at_the_start_ends_it(tmp_path):
     """At once after the title: weights are being drawn and the policy compiled."""
     path = tmp_path / "run"
     command = ["env=Venture", "algo=snd_std", "num_envs=8", f"run_dir={path}", "resume=auto"]
@@ -152,7 +152,7 @@ def test_sigterm_while_a_run_starts_is_answered(tmp_path):
     assert process.returncode == 143, err
 
 
-def test_a_reader_that_goes_away_does_not_stop_the_run(tmp_path):
+def test_run_closed_stdout_goes_on_training(tmp_path):
     path = tmp_path / "run"
     command = [*CAR, "algo=ppo", "total_steps=2560", f"run_dir={path}"]
     with running(command, tmp_path, out=subprocess.PIPE) as process:
@@ -165,7 +165,7 @@ def test_a_reader_that_goes_away_does_not_stop_the_run(tmp_path):
     assert tree_of(path)[0] == 20
 
 
-def test_logs_without_a_checkpoint_are_no_run_to_go_on_with(tmp_path, capfd):
+def test_run_resume_of_logs_without_checkpoint_is_refused(tmp_path, capfd):
     path = tmp_path / "run"
     assert main([*CAR, "algo=ppo", "total_steps=512", f"run_dir={path}"]) == 0
     before = (path / "metrics.jsonl").read_bytes()
@@ -175,7 +175,7 @@ def test_logs_without_a_checkpoint_are_no_run_to_go_on_with(tmp_path, capfd):
     assert (path / "metrics.jsonl").read_bytes() == before
 
 
-def test_sigterm_leaves_a_checkpoint_of_the_moment_and_the_run_can_be_extended(tmp_path):
+def test_run_sigterm_leaves_a_checkpoint_that_can_be_extended(tmp_path):
     path = tmp_path / "run"
     until(path, [*CAR, "algo=rnd", "total_steps=100_000_000", f"run_dir={path}"], 7)
     iteration, _ = tree_of(path)
@@ -188,7 +188,7 @@ def test_sigterm_leaves_a_checkpoint_of_the_moment_and_the_run_can_be_extended(t
     assert load_config([f"resume={path}"]).total_steps == 200_000_000
 
 
-def test_a_run_whose_newest_checkpoint_is_damaged_goes_on_from_the_one_before(tmp_path, capfd):
+def test_run_resume_damaged_checkpoint_uses_the_previous(tmp_path, capfd):
     path = tmp_path / "run"
     command = [*CAR, "algo=ppo", "total_steps=1024", "checkpoint_every=2", f"run_dir={path}"]
     assert main(command) == 0
@@ -227,7 +227,7 @@ def small_disk(tmp_path):
 @pytest.mark.parametrize(
     "room", [300, *(pytest.param(room, marks=survival) for room in (900, 1500))]
 )  # kB beside which it starts
-def test_a_disk_that_fills_up_keeps_the_last_good_checkpoint(room, small_disk, tmp_path):
+def test_run_full_disk_keeps_the_last_complete_checkpoint(room, small_disk, tmp_path):
     path = small_disk / "run"
     command = [*CAR, "algo=rnd", "checkpoint_every=4", "total_steps=100_000_000", "resume=auto"]
     command += [f"run_dir={path}"]
@@ -252,7 +252,7 @@ def test_a_disk_that_fills_up_keeps_the_last_good_checkpoint(room, small_disk, t
 
 
 @survival
-def test_half_an_hour_is_held(tmp_path):
+def test_run_half_an_hour_keeps_memory_files_and_speed(tmp_path):
     """Memory flat within 2%, no file left open, the rate steady."""
     path, seconds = tmp_path / "run", 1800
     command = ["env=MountainCar", "algo=snd_vic", "total_steps=10_000_000_000", f"run_dir={path}"]

@@ -10,31 +10,31 @@ from experiments.analysis.feature_geometry import (
 )
 
 
-def test_eigenvalues_are_those_of_the_scatter_matrix():
+def test_eigenvalues_equal_those_of_the_scatter_matrix():
     z = np.random.default_rng(0).normal(size=(40, 6)) @ np.diag([5, 3, 2, 1, 0.5, 0.1])
     wanted = np.linalg.eigvalsh(39 * np.cov(z.T))[::-1]
     np.testing.assert_allclose(eigenvalues(z.astype(np.float32)), wanted, rtol=1e-4)
 
 
-def test_the_rank_counts_independent_dimensions():
+def test_feature_rank_counts_independent_dimensions():
     z = np.random.default_rng(1).normal(size=(50, 4))
     assert feature_rank(z) == 4
     assert feature_rank(np.concatenate([z, z[:, :2] @ np.ones((2, 3))], axis=1)) == 4
 
 
-def test_the_rank_of_rounded_features_is_their_own():
+def test_feature_rank_rounded_features_follows_their_precision():
     draw = np.random.default_rng(4)
     z = (draw.normal(size=(300, 5)) @ draw.normal(size=(5, 64))).astype(np.float32)
     assert feature_rank(z) == 5
 
 
-def test_distances_pair_by_pair():
+def test_pairwise_distances_equal_a_loop_over_pairs():
     x = np.random.default_rng(2).normal(size=(5, 2, 3))
     wanted = [[np.sqrt(((a - b) ** 2).sum()) for b in x] for a in x]
     np.testing.assert_allclose(pairwise_distances(x), wanted, atol=1e-12)
 
 
-def test_a_row_of_the_table():
+def test_geometry_figures_equal_a_row_of_the_table():
     z = np.array([[0.0, 0.0], [3.0, 4.0], [0.0, 0.0], [0.0, 2.0]])
     found = geometry_figures(
         z, np.array([True, False, True])
@@ -45,7 +45,7 @@ def test_a_row_of_the_table():
     assert found["q50"] == pytest.approx(np.median(eigenvalues(z)))
 
 
-def test_eigenvalues_are_compared_at_a_thousand_states():
+def test_eigenvalues_thousand_states_are_comparable():
     z = np.random.default_rng(3).normal(size=(COMPARED + 500, 3))
     follows = np.ones(len(z) - 1, bool)
     all_of_them, first = (

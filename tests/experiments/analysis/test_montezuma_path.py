@@ -14,7 +14,7 @@ def walk():
     return trajectory.load_committed_trajectory()
 
 
-def test_it_is_long_and_goes_through_many_rooms(walk):
+def test_load_committed_trajectory_is_long_and_visits_many_rooms(walk):
     assert walk.frames.shape == (2_700, 96, 96, 1)
     assert len(walk.action) == len(walk.room) == 2_699
     assert len(np.unique(walk.room)) >= 10
@@ -22,14 +22,14 @@ def test_it_is_long_and_goes_through_many_rooms(walk):
     assert list(dict.fromkeys(walk.room.tolist())) == stored["rooms"]
 
 
-def test_another_emulator_goes_the_same_way(walk):
+def test_load_committed_trajectory_on_ale_py_visits_the_same_states(walk):
     """ALE itself, stepped by hand, is in the same room at every step."""
     emulator = go_explore.Emulator()
     rooms = [int(emulator.step(action)[MONTEZUMA_ROOM]) for action in walk.action.tolist()]
     np.testing.assert_array_equal(walk.room, rooms)
 
 
-def test_a_list_that_leads_elsewhere_is_refused(tmp_path):
+def test_load_committed_trajectory_wrong_actions_are_refused(tmp_path):
     stored = json.loads(trajectory.DATA.read_text())
     other = tmp_path / "other.json"
     other.write_text(json.dumps(stored | {"actions": "a" * 50}))
@@ -37,7 +37,7 @@ def test_a_list_that_leads_elsewhere_is_refused(tmp_path):
         trajectory.load_committed_trajectory(other)
 
 
-def test_a_search_can_go_back_to_every_cell():
+def test_Search_nodes_can_all_be_reached_again():
     search = go_explore.Search(0)
     for _ in range(12):
         search.explore(search.choose())
@@ -52,7 +52,7 @@ def test_a_search_can_go_back_to_every_cell():
         np.testing.assert_array_equal(ram, emulator.ale.getRAM())
 
 
-def test_a_search_ends_with_as_many_states_as_were_asked_for(monkeypatch):
+def test_Search_result_has_the_asked_number_of_states(monkeypatch):
     monkeypatch.setattr(go_explore, "STATES", 150)
     search = go_explore.Search(1)
     for _ in range(5):

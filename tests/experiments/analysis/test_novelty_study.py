@@ -17,7 +17,7 @@ def walk():
     return Trajectory(whole.frames[:330], whole.action[:329], whole.room[:329])
 
 
-def test_runs_are_consecutive_pairs(walk):
+def test_gather_runs_minibatches_are_consecutive_pairs(walk):
     start = np.array([[0, 7], [30, 2]])
     rollout = gather_runs(walk, start, STEPS)
     assert rollout.frames.shape == (2, STEPS + 1, 2, 96, 96, 1)
@@ -29,7 +29,7 @@ def test_runs_are_consecutive_pairs(walk):
                 assert rollout.action[k, t, n] == walk.action[m]
 
 
-def test_windows_are_where_they_say():
+def test_draw_windows_indices_are_where_they_say():
     draw = np.random.default_rng(0)
     for n in (1, 40, 171):
         past, near, far, anywhere = draw_windows(n, 300, draw)
@@ -40,7 +40,7 @@ def test_windows_are_where_they_say():
 
 
 @pytest.mark.parametrize("algo", ALGOS)
-def test_the_future_changes_nothing_of_what_was_learned(walk, algo):
+def test_study_module_future_states_change_nothing_learned(walk, algo):
     """Another future, the same weights and input moments: the past is read the same."""
     frames = walk.frames.copy()
     frames[129:] = 255 - frames[129:]
@@ -53,7 +53,7 @@ def test_the_future_changes_nothing_of_what_was_learned(walk, algo):
     assert means[2, 0] != others[2, 0]
 
 
-def test_the_command_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
+def test_novelty_interrupted_resumes_with_the_next_module(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arguments = ["algos=rnd", "states=300", "train_every=32", "read_every=32", "out=found"]
     assert novelty.main(arguments) == 0
@@ -81,6 +81,6 @@ def test_the_command_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
         ("train_every=2", "at least 4"),
     ],
 )
-def test_bad_input(given, said, capsys):
+def test_novelty_bad_input_is_one_line(given, said, capsys):
     assert novelty.main([given]) == 2
     assert said in capsys.readouterr().err

@@ -41,7 +41,7 @@ def broken(tmp_path):
     return f"algo.module={code}:broken"
 
 
-def test_a_number_that_is_not_finite_stops_the_run_and_can_be_looked_at(broken, tmp_path, capfd):
+def test_replay_number_not_finite_names_the_operation(broken, tmp_path, capfd):
     path = tmp_path / "run"
     command = [*CAR, broken, "algo.minibatch_size=64", "total_steps=1024", f"run_dir={path}"]
     assert main(command) == 1
@@ -67,7 +67,7 @@ def test_a_number_that_is_not_finite_stops_the_run_and_can_be_looked_at(broken, 
 
 
 @pytest.mark.parametrize(("mode", "nulls"), [("skip", 6), ("ignore", 1)])
-def test_or_it_is_skipped_or_ignored(mode, nulls, broken, tmp_path):
+def test_run_number_not_finite_can_be_skipped_or_ignored(mode, nulls, broken, tmp_path):
     path = tmp_path / "run"
     command = [*CAR, broken, "algo.minibatch_size=64", "total_steps=1024", f"run_dir={path}"]
     assert main([*command, f"on_nan={mode}"]) == 0
@@ -80,7 +80,7 @@ def test_or_it_is_skipped_or_ignored(mode, nulls, broken, tmp_path):
         assert all(np.isfinite(x).all() for x in tree_of(path, load_config(command))[1])
 
 
-def test_a_number_that_is_wrong_from_the_start_leaves_a_dump_without_code(tmp_path, capfd):
+def test_run_number_not_finite_at_the_start_leaves_a_dump_without_code(tmp_path, capfd):
     path = tmp_path / "run"
     command = [*CAR, "algo=ppo", "ppo.value_weight=3e38", "total_steps=256", f"run_dir={path}"]
     assert main(command) == 1
@@ -89,7 +89,7 @@ def test_a_number_that_is_wrong_from_the_start_leaves_a_dump_without_code(tmp_pa
     assert "after the update, seed 0: grad_norm is" in capfd.readouterr().out
 
 
-def test_what_is_no_dump_is_refused(tmp_path, capfd):
+def test_replay_directory_without_dump_is_refused(tmp_path, capfd):
     for place in (tmp_path, tmp_path / "none"):
         assert replay([str(place)]) == 2
         assert "is no dump of a run" in capfd.readouterr().err

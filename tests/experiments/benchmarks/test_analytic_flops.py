@@ -30,14 +30,14 @@ def counted(function, *arguments):
 
 
 @pytest.mark.parametrize(("objective", "signal"), PUBLISHED)
-def test_the_work_by_hand(objective, signal):
+def test_flops_per_step_thesis_cells_equal_the_count_by_hand(objective, signal):
     work = nominal.flops_per_step(objective, signal, sndjax.ATARI, (96, 96, 1), 4, 18)
     assert work / 1e9 == pytest.approx(PUBLISHED[objective, signal], abs=0.006)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_encoder_is_the_program_that_runs(objective, kind):
+def test_encoder_flops_any_encoder_equals_the_compiled_program(objective, kind):
     size, shape, dtype, _ = KINDS[kind]
     frame = jnp.zeros((1, *shape), dtype)
     for network in make_encoder_and_predictor(OBJECTIVES[objective], size, "elu", "asymmetric"):
@@ -47,7 +47,7 @@ def test_an_encoder_is_the_program_that_runs(objective, kind):
 
 @pytest.mark.parametrize("heads", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_policy_is_the_program_that_runs(heads, kind):
+def test_policy_flops_any_policy_equals_the_compiled_program(heads, kind):
     size, shape, dtype, stack = KINDS[kind]
     stacked = (*shape[:-1], shape[-1] * stack)
     network = sndjax.ActorCritic(size, 18, heads)
@@ -59,7 +59,7 @@ def test_the_policy_is_the_program_that_runs(heads, kind):
 @pytest.mark.parametrize(
     "objective", ["st_dim", "vicreg", "barlow_twins", "inverse_dynamics", "vicreg_inverse"]
 )
-def test_an_objective_is_the_program_that_runs(objective):
+def test_objective_flops_any_objective_equals_the_compiled_program(objective):
     """Its forward pass on the features of a minibatch."""
     rows, of = 24, jax.ShapeDtypeStruct
     z, local = of((rows, 512), jnp.float32), of((rows, 12, 12, 64), jnp.float32)
@@ -78,6 +78,6 @@ def test_an_objective_is_the_program_that_runs(objective):
     )
 
 
-def test_cells_that_nobody_worked_out_have_none():
+def test_flops_per_step_unknown_objective_or_signal_is_none():
     for cell in (("byol", "distillation"), ("vicreg", "e3b"), ("none", "prediction")):
         assert nominal.flops_per_step(*cell, sndjax.ATARI, (96, 96, 1), 4, 18) is None

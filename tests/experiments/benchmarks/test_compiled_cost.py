@@ -18,7 +18,7 @@ ALWAYS = ("ppo", "snd_std")  # compiling is what it costs
         for n in LEDGER["algorithms"]
     ],
 )
-def test_an_update_computes_what_the_ledger_says(name):
+def test_compiled_cost_of_an_update_equals_the_committed_figures(name):
     """`sndjax compiled_cost > tests/experiments/benchmarks/compiled_cost.json` after a change."""
     command = [sys.executable, "-m", "experiments.compiled_cost", name]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -20,7 +20,7 @@ def shared(objective, signal):
 
 
 @pytest.mark.parametrize("name", ["ppo", "rnd", "snd_v", "snd_vic", "snd_std", "icm", "sp"])
-def test_the_counted_work_is_the_nominal_work_less_what_is_shared(name):
+def test_counted_flops_equals_analytic_flops_less_shared_work(name):
     make, algo = NAMED[name], load_config(["env=Venture", f"algo={name}"]).algo
     objective, signal = algo.objective if make else None, algo.signal
     module = make(18, sndjax.ATARI) if make else None

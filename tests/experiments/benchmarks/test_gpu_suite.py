@@ -7,14 +7,14 @@ from experiments.benchmarks import gpu_suite as evidence
 from experiments.gpu_suite import main
 
 
-def test_without_a_gpu_nothing_is_run_and_it_says_so(tmp_path, capsys, monkeypatch):
+def test_gpu_suite_without_gpu_runs_nothing_and_is_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(evidence, "jax_backend", lambda: "cpu")
     assert main(["--out", str(tmp_path / "out")]) == 2
     assert "jax sees no GPU here: not run" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_runs_stop_at_their_share_of_the_time_and_go_on_when_called_again(tmp_path):
+def test_gpu_suite_runs_stop_at_their_share_and_resume_when_called_again(tmp_path):
     def steps_after(out, minutes):
         arguments = ["--minutes", minutes, "--envs", "MountainCar", "--algos", "sp_vinv"]
         assert main(["--cpu", *arguments, "--out", str(out)]) == 0
@@ -40,7 +40,7 @@ sleep 60 & wait
 """
 
 
-def test_side_by_side_all_train_at_once_and_say_what_they_do_in_files(tmp_path, monkeypatch):
+def test_train_together_side_by_side_runs_start_at_once_and_write_to_files(tmp_path, monkeypatch):
     times, stand_in = tmp_path / "times", tmp_path / "run"
     stand_in.write_text(RUN.format(times=times))
     stand_in.chmod(0o755)
@@ -55,7 +55,9 @@ def test_side_by_side_all_train_at_once_and_say_what_they_do_in_files(tmp_path, 
     assert said == "says algo=rnd, all of the memory: false\n"
 
 
-def test_rounds_share_the_minutes_and_a_run_that_broke_is_named(tmp_path, monkeypatch, capsys):
+def test_run_suite_rounds_share_the_minutes_and_a_failed_run_is_named(
+    tmp_path, monkeypatch, capsys
+):
     asked = []
 
     def train(cells, out, seconds, alone):

@@ -24,7 +24,7 @@ def quick(monkeypatch):
 @pytest.mark.parametrize(
     "command", [["algo=ppo"], ["algo=snd_vic", MODULE, "num_seeds=2", "--whole"]]
 )
-def test_the_last_line_is_the_figures_and_they_agree(command, quick, capfd):
+def test_bench_last_line_is_json_and_agrees_with_the_table(command, quick, capfd):
     assert main(["env=MountainCar", *SMALL, *command]) == 0
     lines = capfd.readouterr().out.splitlines()
     found = json.loads(lines[-1])
@@ -45,7 +45,7 @@ def test_the_last_line_is_the_figures_and_they_agree(command, quick, capfd):
         )
 
 
-def test_a_cell_without_nominal_work_says_so(quick, capfd):
+def test_bench_without_analytic_flops_prints_none(quick, capfd):
     command = ["env=MountainCar", "algo=grid", "algo.objective=vicreg", "algo.signal=re3"]
     assert main([*command, *SMALL, MODULE]) == 0
     found = json.loads(capfd.readouterr().out.splitlines()[-1])
@@ -53,7 +53,7 @@ def test_a_cell_without_nominal_work_says_so(quick, capfd):
     assert found["share_of_peak"] is None
 
 
-def test_phases_are_timed_on_whole_minibatches():
+def test_timed_steps_are_whole_minibatches():
     config = load_config(["env=Venture", "algo=snd_std"])
     assert timed_steps(config) == 12  # three of 512, of 128 x 128
     odd = load_config(["env=MountainCar", "algo=ppo", "num_envs=8", "ppo.minibatch_size=1024"])
@@ -63,7 +63,7 @@ def test_phases_are_timed_on_whole_minibatches():
 @pytest.mark.parametrize(
     "arguments", [["env=Venture"], ["env=MountainCar", "algo=ppo", "run_dir=x"]]
 )
-def test_bad_input_is_one_line(arguments, tmp_path):
+def test_bench_bad_input_is_one_line(arguments, tmp_path):
     command = [sys.executable, "-m", "experiments.bench", *arguments]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(

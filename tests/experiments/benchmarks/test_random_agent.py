@@ -11,7 +11,7 @@ from experiments.random_agent import main
 POLE = ["env=envpool", "env.id=CartPole-v1", "num_envs=16", "total_steps=20_000"]
 
 
-def test_an_action_is_kept_as_long_as_was_said():
+def test_random_agent_kept_actions_last_as_long_as_asked():
     rng, actions = np.random.default_rng(0), 4
     action = rng.integers(0, actions, 2000)
     same = []
@@ -32,7 +32,7 @@ def figures(capsys):
     return int(rewarded), int(of.replace(",", "")), int(length), said
 
 
-def test_every_step_of_cartpole_is_rewarded_and_a_random_pole_falls_after_22_steps(capsys):
+def test_random_agent_cartpole_every_step_is_rewarded_for_22_steps(capsys):
     assert main(POLE) == 0
     rewarded, of, length, said = figures(capsys)
     assert rewarded == of
@@ -45,7 +45,7 @@ def test_every_step_of_cartpole_is_rewarded_and_a_random_pole_falls_after_22_ste
     assert 20 <= figures(capsys)[2] <= 24  # what the environment replaces is not kept
 
 
-def test_chance_never_climbs_the_mountain(capsys):
+def test_random_agent_mountain_car_is_never_rewarded(capsys):
     assert main(["env=MountainCar", "num_envs=8", "total_steps=20_000"]) == 0
     rewarded, of, length, said = figures(capsys)
     assert (rewarded, length) == (0, 200)
@@ -62,12 +62,12 @@ def test_chance_never_climbs_the_mountain(capsys):
         (["kep=3"], "unknown option 'kep'; see --help"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_line(more, said, capsys):
+def test_random_agent_bad_input_is_one_line(more, said, capsys):
     assert main(["env=MountainCar", "num_envs=8", *more]) == 2
     (line,) = [x for x in capsys.readouterr().err.splitlines() if x.startswith("sndjax:")]
     assert said in line
 
 
-def test_it_says_what_it_does(capsys):
+def test_random_agent_output_names_its_settings(capsys):
     assert (main(["--help"]), main([])) == (0, 2)
     assert capsys.readouterr().out.count("sndjax random_agent env=CoinrunEasy") == 2

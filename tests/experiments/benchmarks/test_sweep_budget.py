@@ -11,7 +11,7 @@ from experiments.sweeps.multirun import compose_hydra
 PRODUCT = cells.expand_product
 
 
-def test_hours_and_disk_are_those_of_the_measured_rates(tmp_path, monkeypatch):
+def test_budget_tables_hours_and_disk_follow_from_the_measured_rates(tmp_path, monkeypatch):
     measured = {
         "rnd": {
             "steps_per_second": 50.0,
@@ -44,14 +44,14 @@ def test_hours_and_disk_are_those_of_the_measured_rates(tmp_path, monkeypatch):
     assert "TFLOP/s" not in text
 
 
-def test_the_thesis_is_720_runs():
+def test_budget_tables_thesis_sweep_is_720_runs():
     params = compose_hydra(["sweep=thesis"]).sweeper.params
     runs = [tuple(one) for one in cells.expand_product([f"{k}={v}" for k, v in params.items()])]
     assert len(set(runs)) == 720
     assert sum("algo=snd_std" in run and "env=Venture" in run for run in runs) == 9
 
 
-def test_kinds_are_counted_with_their_seeds(monkeypatch):
+def test_budget_tables_kinds_count_their_seeds(monkeypatch):
     monkeypatch.setattr(budget, "work_and_state", lambda algo, family: (1.0, 100.0))
     params = ["env=Venture,Climber", "algo=ppo", "seed=range(9)"]
     monkeypatch.setattr(cells, "expand_product", lambda _: PRODUCT(params))

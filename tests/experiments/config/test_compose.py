@@ -37,7 +37,7 @@ ETA = {
 
 
 @pytest.mark.parametrize("env", ETA)
-def test_every_environment_carries_its_published_settings(env):
+def test_load_config_each_environment_has_its_published_settings(env):
     atari = env in list(ETA)[:6]
     for algo, eta in ETA[env].items():
         made = config.load_config([f"env={env}", f"algo={algo}"])
@@ -54,7 +54,7 @@ def test_every_environment_carries_its_published_settings(env):
     assert baseline.ppo.ext_weight == 1
 
 
-def test_the_thesis_configuration_is_the_default():
+def test_load_config_default_is_the_configuration_of_the_thesis():
     made = config.load_config(VENTURE)
     assert (made.num_envs, made.rollout_length) == (128, 128)
     options = made.env.options
@@ -65,7 +65,7 @@ def test_the_thesis_configuration_is_the_default():
     assert made.iterations == 7813  # 128M steps rounded up to whole iterations
 
 
-def test_the_laboratory_and_the_library_have_the_same_hyperparameters():
+def test_PPOConfig_defaults_equal_those_of_the_library():
     ours = {f.name: f.default for f in dataclasses.fields(PPOConfig)}
     assert ours == Hyperparameters()._asdict()
     assert {*NAMED, "grid", "module"} == set(validate.group_choices("algo"))
@@ -73,7 +73,7 @@ def test_the_laboratory_and_the_library_have_the_same_hyperparameters():
     assert set(SIGNALS) == set(options.SIGNALS)
 
 
-def test_a_named_algorithm_records_the_cell_it_is():
+def test_load_config_named_algorithm_records_its_objective_and_signal():
     for name in set(NAMED) - {"ppo"}:
         made = config.load_config(["env=Jumper", f"algo={name}"]).algo
         described = repr(NAMED[name](15, VECTOR))
@@ -82,7 +82,7 @@ def test_a_named_algorithm_records_the_cell_it_is():
         assert f"preprocess='{made.preprocess}'" in described
 
 
-def test_any_cell_can_be_asked_for():
+def test_load_config_grid_takes_any_objective_and_signal():
     made = config.load_config(
         ["env=Venture", "algo=grid", "algo.objective=barlow_twins", "algo.signal=noveld"]
     )
@@ -90,7 +90,7 @@ def test_any_cell_can_be_asked_for():
     assert (made.algo.objective, made.algo.signal) == ("barlow_twins", "noveld")
 
 
-def test_everything_can_be_overridden():
+def test_load_config_options_override_every_field():
     made = config.load_config(
         [*VENTURE, "ppo.clip=0.2", "algo.eta=2", "seed=7", "env.options.frame_skip=2",
          "env.options.difficulty=1", "total_steps=1_000"]
@@ -100,7 +100,7 @@ def test_everything_can_be_overridden():
     assert made.env.options["difficulty"] == 1
 
 
-def test_any_envpool_task_gets_the_settings_of_its_family():
+def test_load_config_envpool_task_gets_the_settings_of_its_family():
     pong = config.load_config(["env=envpool", "env.id=Pong-v5", "algo=rnd"])
     assert (pong.env.name, pong.env.stack, pong.env.reward) == ("Pong-v5", 4, "sign")
     maze = config.load_config(["env=envpool", "env.id=MazeExploration-v0", "algo=rnd"])
@@ -109,7 +109,7 @@ def test_any_envpool_task_gets_the_settings_of_its_family():
     assert (pole.env.stack, pole.env.reward, pole.env.options) == (1, "raw", {})
 
 
-def test_the_preset_and_the_level_of_the_committed_table():
+def test_load_config_preset_and_level_are_those_of_the_committed_table():
     made = config.load_config(["env=CoinrunEasy", "algo=snd_vic", "preset=laptop"])
     assert made.env.options == {"num_levels": 1, "start_level": 9}
     assert (made.env.stack, made.env.reward, made.env.random_action) == (1, "raw", 0.01)
@@ -118,7 +118,7 @@ def test_the_preset_and_the_level_of_the_committed_table():
     assert not made.ppo.normalize_advantages
 
 
-def test_a_preset_sets_the_same_for_every_algorithm_and_options_stand_over_it():
+def test_load_config_preset_is_the_same_for_all_and_options_override_it():
     names = set(validate.group_choices("algo")) - {"ppo", "module", "grid"}
     load = lambda algo, *more: config.load_config(
         ["env=Jumper", f"algo={algo}", "preset=laptop", *more]
@@ -194,7 +194,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=lambda x: str(x)[-40:])
-def test_bad_input_is_refused_in_one_line_that_helps(arguments, words):
+def test_load_config_bad_input_raises_one_helpful_line(arguments, words):
     with pytest.raises(ConfigError) as refusal:
         config.load_config(arguments)
     message = str(refusal.value)
@@ -214,7 +214,7 @@ VALUES = st.one_of(
 
 @settings(deadline=None, max_examples=150)
 @given(st.lists(st.tuples(KEYS, VALUES), max_size=3))
-def test_no_input_makes_a_traceback(pairs):
+def test_load_config_generated_input_raises_only_ConfigError(pairs):
     pairs = [(k, v) for k, v in pairs if k != "env.id"]
     try:
         made = config.load_config([*VENTURE, *(f"{k}={v}" for k, v in pairs)])
@@ -223,7 +223,7 @@ def test_no_input_makes_a_traceback(pairs):
     assert isinstance(made, Config)
 
 
-def test_help_names_every_environment_algorithm_and_option():
+def test_run_help_names_every_environment_algorithm_and_option():
     text = run_help()
     names = [name for group in validate.ALL_GROUPS for name in validate.group_choices(group)]
     names += [name for name, _ in validate.config_options()]
@@ -231,7 +231,7 @@ def test_help_names_every_environment_algorithm_and_option():
         assert f"  {name}" in text
 
 
-def test_jax_is_not_imported_to_refuse_an_input():
+def test_load_config_refused_input_imports_no_jax():
     code = """
 import sys
 from experiments.run import main

@@ -13,7 +13,7 @@ def text_of(made):
     return to_yaml(SavedConfig(made, {"jax": "1.2.3"}))
 
 
-def test_a_task_that_is_code_is_named_on_the_command_line_alone(tmp_path):
+def test_load_resumed_task_that_is_code_must_be_on_the_command_line(tmp_path):
     made = load_config(["env=gymnasium", "env.id=mine:Task-v0", "algo=rnd"])
     (tmp_path / "config.yaml").write_text(text_of(made))
     with pytest.raises(ConfigError, match="for safety repeat"):
@@ -21,7 +21,7 @@ def test_a_task_that_is_code_is_named_on_the_command_line_alone(tmp_path):
     assert load_config([f"resume={tmp_path}", "env.id=mine:Task-v0"]).env.id == "mine:Task-v0"
 
 
-def test_a_bonus_of_ones_own_is_named_on_the_command_line_alone(tmp_path):
+def test_load_resumed_user_module_must_be_on_the_command_line(tmp_path):
     code = tmp_path / "bonus.py"
     code.write_text("")
     made = load_config(["env=MountainCar", f"algo.module={code}:mine"])
@@ -38,7 +38,7 @@ def test_a_bonus_of_ones_own_is_named_on_the_command_line_alone(tmp_path):
         load_config([f"resume={tmp_path}", "algo.module=other.py:mine"])
 
 
-def test_a_stored_configuration_reads_back_as_it_was(tmp_path):
+def test_read_saved_stored_configuration_equals_the_original(tmp_path):
     made = load_config([*VENTURE, "seed=3", "algo.shuffle=true", "env.options.mode=1"])
     (tmp_path / "config.yaml").write_text(text_of(made))
     again = load_config([f"resume={tmp_path}"])
@@ -52,7 +52,7 @@ def test_a_stored_configuration_reads_back_as_it_was(tmp_path):
             load_config([f"resume={tmp_path}", other])
 
 
-def test_an_option_younger_than_a_checkpoint_was_what_it_is_by_default():
+def test_read_saved_option_newer_than_the_file_takes_its_default():
     config = load_config(["env=Venture", "algo=rnd"])
     old = {name: value for name, value in run_settings(config).items() if name != "network"}
     check_settings(config, old)
@@ -66,7 +66,7 @@ def test_an_option_younger_than_a_checkpoint_was_what_it_is_by_default():
     "text",
     ["", "[1, 2]", "env: 3", "seed: many", "a: !!python/object/apply:os.system [ls]", "{", "x: 1"],
 )
-def test_a_stored_configuration_that_is_none_is_refused(tmp_path, text):
+def test_read_saved_file_without_a_configuration_is_refused(tmp_path, text):
     (tmp_path / "config.yaml").write_text(text)
     with pytest.raises(ConfigError):
         load_config([f"resume={tmp_path}"])
@@ -80,7 +80,7 @@ def run(tmp_path):
     return tmp_path
 
 
-def test_a_stored_configuration_says_what_it_was_made_with(run):
+def test_read_saved_stored_versions_are_returned(run):
     assert read_saved(run / "config.yaml").made_with == {"jax": "1.2.3"}
 
 
@@ -102,20 +102,20 @@ BOMB = "a: &a [1, 1]\nb: &b [*a, *a]\nc: [*b, *b]"
         ("ppo: {clip: .nan}\nenv: {name: a, id: b}\nalgo: {name: rnd}", "must be finite"),
     ],
 )
-def test_a_configuration_from_elsewhere_is_plain_data_in_its_ranges(run, text, words):
+def test_read_saved_foreign_file_is_plain_data_within_ranges(run, text, words):
     (run / "config.yaml").write_text(text)
     with pytest.raises(ConfigError, match=words):
         load_config([f"resume={run}"])
 
 
-def test_a_run_can_be_extended_and_not_shortened(run):
+def test_load_resumed_total_steps_can_grow_but_not_shrink(run):
     assert load_config([f"resume={run}", "total_steps=200000"]).total_steps == 200000
     for value, words in (("1000", "not shortened"), ("many", "total_steps"), ("0", "at least 1")):
         with pytest.raises(ConfigError, match=words):
             load_config([f"resume={run}", f"total_steps={value}"])
 
 
-def test_auto_starts_a_run_where_there_is_none_and_goes_on_where_there_is_one(run, tmp_path):
+def test_load_resumed_auto_starts_or_resumes(run, tmp_path):
     same = [*VENTURE, "seed=3", "total_steps=100000", "resume=auto"]
     begun = load_config([*same, f"run_dir={tmp_path / 'new'}"])
     assert (begun.resume, begun.run_dir) == (None, str(tmp_path / "new"))
@@ -134,7 +134,7 @@ def test_auto_starts_a_run_where_there_is_none_and_goes_on_where_there_is_one(ru
         load_config(same)
 
 
-def test_a_run_is_repeated_in_a_directory_of_its_own(run):
+def test_load_repeated_run_gets_a_separate_directory(run):
     path = run / "config.yaml"
     again = load_config([f"repeat={path}"])
     assert again == dataclasses.replace(read_saved(path).config, repeat=str(path))

@@ -27,7 +27,7 @@ class Own:
         (["agent=runs/x"], [], Own(agent="runs/x")),
     ],
 )
-def test_both_ways_of_writing(given, places, wanted):
+def test_parse_arguments_key_value_and_dashes_give_the_same(given, places, wanted):
     assert parse_arguments(given, Own) == (places, wanted)
 
 
@@ -44,11 +44,11 @@ def test_both_ways_of_writing(given, places, wanted):
         (["out=a", "--out", "b"], "given twice"),
     ],
 )
-def test_what_cannot_be(given, said):
+def test_parse_arguments_bad_input_raises_with_the_option_named(given, said):
     with pytest.raises(ConfigError, match=said):
         parse_arguments(given, Own)
 
 
-def test_help_names_every_option():
+def test_tool_help_of_options_names_each():
     text = tool_help("About.", Own)
     assert all(name in text for name in ("out=report", "live=False", "states=100", "how fast"))

@@ -20,7 +20,7 @@ def config(name, *more):
     return load_config([f"env={name}", "algo=rnd", *more]).env
 
 
-def test_stacks_built_from_single_frames_are_envpools_own_across_resets():
+def test_FrameStack_single_frames_equal_envpool_stacks_across_resets():
     env = config("Venture", "env.options.max_episode_steps=13")
     pool = make_pool(env, [3], 4)
     theirs = envpool.make(
@@ -45,7 +45,7 @@ def test_stacks_built_from_single_frames_are_envpools_own_across_resets():
     assert resets >= 12
 
 
-def test_procgen_stacks_begin_with_zeros():
+def test_FrameStack_procgen_begins_with_zeros():
     env = config("Climber")
     assert (env.stack, env.repeat_first) == (2, False)
     pool = make_pool(env, [0], 2)
@@ -57,7 +57,7 @@ def test_procgen_stacks_begin_with_zeros():
     np.testing.assert_array_equal(window[1], frame)
 
 
-def test_coinrun_easy_is_level_9_in_every_episode_and_for_every_seed():
+def test_make_pool_coinrun_easy_is_level_9_in_every_episode():
     pool = make_pool(config("CoinrunEasy"), [0, 1], 16)
     first = pool.reset().copy()
 
@@ -78,7 +78,7 @@ def test_coinrun_easy_is_level_9_in_every_episode_and_for_every_seed():
     assert again >= 16
 
 
-def test_reset_rows_follow_done_rows_and_carry_no_reward():
+def test_Pool_step_reset_rows_follow_done_rows_without_reward():
     pool = make_pool(config("MountainCar"), [0, 1], 5)
     pool.reset()
     rng, was_done, ends = np.random.default_rng(0), np.zeros((2, 5), bool), 0
@@ -94,7 +94,7 @@ def test_reset_rows_follow_done_rows_and_carry_no_reward():
     assert ends == 20  # two limits of 200 steps, each followed by a reset row
 
 
-def test_mountain_car_pays_at_the_goal_alone():
+def test_make_pool_mountain_car_rewards_only_the_goal():
     pool = make_pool(config("MountainCar"), [0], 1)
     frame = pool.reset()
     goals = 0
@@ -110,7 +110,7 @@ def test_mountain_car_pays_at_the_goal_alone():
     assert goals >= 4
 
 
-def test_atari_reward_is_the_sign_of_the_score_and_rooms_come_from_ram():
+def test_make_pool_atari_reward_is_the_sign_and_rooms_come_from_ram():
     pool = make_pool(config("MontezumaRevenge"), [0], 2)
     assert pool.num_actions == 18
     pool.reset()
@@ -127,7 +127,7 @@ def test_atari_reward_is_the_sign_of_the_score_and_rooms_come_from_ram():
     np.testing.assert_array_equal(np.maximum(0, np.sign(scores)), rewards)
 
 
-def test_seeds_share_no_stream_and_a_resumed_run_begins_new_ones():
+def test_make_pool_seeds_and_resumed_runs_have_separate_streams():
     streams = [env_seeds(seed, 8, start) for seed in (0, 1) for start in (0, 50)]
     assert len({s for stream in streams for s in stream}) == 32
     assert env_seeds(0, 8, 0) == env_seeds(0, 16, 0)[:8]
@@ -136,7 +136,7 @@ def test_seeds_share_no_stream_and_a_resumed_run_begins_new_ones():
     assert np.all(frames[0][:, 0] != frames[2][:, 0])
 
 
-def test_a_seed_has_the_same_environments_alone_and_among_others():
+def test_make_pool_one_seed_equals_the_same_seed_among_others():
     alone, together = (make_pool(config("Venture"), seeds, 2) for seeds in ([7], [6, 7]))
     frames = [alone.reset()[0], together.reset()[1]]
     for _ in range(30):
@@ -156,7 +156,7 @@ def test_a_seed_has_the_same_environments_alone_and_among_others():
         ("LunarLander-v2", 8, tuple(range(8))),
     ],
 )
-def test_other_tasks_are_read_as_vectors(task, size, unbounded):
+def test_make_pool_other_tasks_give_vectors(task, size, unbounded):
     pool = make_pool(config("envpool", f"env.id={task}"), [0], 3)
     assert pool.shape == (size,)
     assert tuple(np.nonzero(pool.unbounded)[0]) == unbounded
@@ -166,7 +166,7 @@ def test_other_tasks_are_read_as_vectors(task, size, unbounded):
     assert np.all(np.isfinite(pool.step(np.zeros((1, 3))).frame))
 
 
-def test_dict_observations_are_laid_end_to_end():
+def test_make_pool_dict_observations_are_concatenated():
     space = gym.spaces.Dict(
         {
             "b": gym.spaces.Box(0, 10, (2,), np.float32),
@@ -187,7 +187,7 @@ def test_dict_observations_are_laid_end_to_end():
     assert reader.unbounded == (False,) * 7 + (True,)
 
 
-def test_tasks_are_refused_by_name():
+def test_make_pool_unsupported_task_is_refused_by_name():
     assert family_of("Pong-v5") == "atari"
     assert family_of("JumperExploration-v0") == "procgen"
     assert family_of("CartPole-v1") == "plain"
@@ -215,7 +215,7 @@ family_of("JumperExploration-v0")
 """
 
 
-def test_where_qt_does_not_load_only_procgen_is_refused_and_it_says_what_is_missing():
+def test_make_pool_without_qt_refuses_procgen_only():
     done = subprocess.run([sys.executable, "-c", PLAIN_SYSTEM], capture_output=True, text=True)
     assert done.stdout == "atari\n"
     refusal = done.stderr.splitlines()[-1]
@@ -254,7 +254,7 @@ gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=8)
 
 
 @pytest.mark.parametrize("image", [False, True])
-def test_a_users_own_environment_through_gymnasium(image):
+def test_make_pool_user_environment_of_gymnasium_is_stepped(image):
     """Against a plain loop over one environment, across ends and resets."""
     env = config("gymnasium", "env.id=Corridor-v0", f"env.options.image={image}")
     pool = make_pool(env, [0, 1], 3)
@@ -280,7 +280,7 @@ def test_a_users_own_environment_through_gymnasium(image):
     pool.close()
 
 
-def test_gymnasiums_own_tasks_are_stepped_in_plain_form():
+def test_make_pool_gymnasium_task_equals_gymnasium():
     pool = make_pool(config("gymnasium", "env.id=CartPole-v1"), [0], 3)
     frames = [make_pool(config("gymnasium", "env.id=CartPole-v1"), [s], 3).reset() for s in (0, 1)]
     np.testing.assert_array_equal(pool.reset(), frames[0])
@@ -293,7 +293,7 @@ def test_gymnasiums_own_tasks_are_stepped_in_plain_form():
     assert step.frame.shape == (1, 3, 4)
 
 
-def test_gymnasium_tasks_are_refused_by_name():
+def test_make_pool_unsupported_gymnasium_task_is_refused_by_name():
     with pytest.raises(ConfigError, match="observations of Tuple cannot be read"):
         make_pool(config("gymnasium", "env.id=Blackjack-v1"), [0], 2)
     with pytest.raises(ConfigError, match="did you mean CartPole-v1"):
@@ -313,7 +313,7 @@ def minigrid(*more):
     return load_config(["env=MiniGrid", "algo=rnd", *more]).env
 
 
-def test_minigrids_view_is_its_own_one_hot_wrappers_and_the_direction():
+def test_make_pool_minigrid_view_is_one_hot_with_direction():
     from minigrid.wrappers import OneHotPartialObsWrapper
 
     env = minigrid("env.id=minigrid:MiniGrid-KeyCorridorS3R3-v0")
@@ -334,7 +334,7 @@ def test_minigrids_view_is_its_own_one_hot_wrappers_and_the_direction():
         looks = [one.step(a)[0] for one, a in zip(theirs, action, strict=True)]
 
 
-def test_a_death_is_no_goal():
+def test_make_pool_minigrid_death_is_not_rewarded():
     pool = make_pool(minigrid("env.id=MiniGrid-LavaCrossingS9N1-v0"), [0], 64)
     pool.reset()
     rng, deaths = np.random.default_rng(0), 0
@@ -346,7 +346,7 @@ def test_a_death_is_no_goal():
     assert deaths > 10
 
 
-def test_envpools_minigrid_is_read_in_the_same_form():
+def test_make_pool_envpool_minigrid_equals_minigrid_form():
     pool = make_pool(minigrid("env.id=MiniGrid-DoorKey-8x8-v0"), [0, 1], 4)
     frames = pool.reset()
     assert frames.shape == (2, 4, 7 * 7 * 21 + 4)
@@ -368,7 +368,7 @@ def solved(envs, count, steps, **reset):
     return through.mean()
 
 
-def test_the_levels_that_are_refused_are_broken_and_those_named_instead_are_not():
+def test_make_pool_refused_levels_are_broken_and_their_replacements_are_not():
     task = FARAMA.removeprefix("minigrid:")
     with pytest.raises(ConfigError, match=f"env=MiniGrid env.id={FARAMA}"):
         minigrid(f"env.id={task}")

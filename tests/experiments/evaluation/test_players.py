@@ -54,7 +54,7 @@ def pixels(tmp_path_factory):
     return trained(tmp_path_factory.mktemp("pixels") / "run", *PIXELS, "algo=rnd")
 
 
-def test_a_greedy_player_plays_the_same_again(car):
+def test_play_episodes_greedy_repeated_gives_the_same_episodes(car):
     _, player = load_players(car)
     assert player.seed == 1
     first, again = (play_episodes(player, 3, greedy=True, seed=5) for _ in range(2))
@@ -64,7 +64,7 @@ def test_a_greedy_player_plays_the_same_again(car):
     assert all(episode.score.sum() == -200 for episode in first)
 
 
-def test_the_likeliest_action_is_taken(car):
+def test_load_players_greedy_known_logits_is_the_likeliest(car):
     player = load_players(car)[0]
     (episode,) = play_episodes(player, 1, greedy=True)
     logits, value = player.agent.network.apply(
@@ -74,7 +74,7 @@ def test_the_likeliest_action_is_taken(car):
     np.testing.assert_allclose(episode.value, value, rtol=1e-4, atol=1e-5)
 
 
-def test_novelty_is_the_modules_reward(car):
+def test_episode_novelty_equals_the_reward_of_the_module(car):
     player = load_players(car)[0]
     (episode,) = play_episodes(player, 1)
     steps = len(episode.action)
@@ -91,7 +91,7 @@ def test_novelty_is_the_modules_reward(car):
     np.testing.assert_allclose(episode_novelty(player, episode), wanted[:, 0], rtol=1e-4)
 
 
-def test_a_film_is_drawn_of_the_same_episode(car):
+def test_render_episode_same_seed_draws_the_same_episode(car):
     player = load_players(car)[0]
     episode = play_episodes(player, 2, seed=3)[1]
     drawn = list(render_episode(player, episode))
@@ -102,7 +102,7 @@ def test_a_film_is_drawn_of_the_same_episode(car):
         list(render_episode(player, other))
 
 
-def test_evaluate(car, capsys):
+def test_evaluate_finished_run_prints_metrics_and_json(car, capsys):
     assert evaluate.main([str(car), "episodes=3"]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert [line["seed"] for line in found["seeds"]] == [0, 1]
@@ -113,7 +113,7 @@ def test_evaluate(car, capsys):
         assert min(scores) <= low <= high <= max(scores)
 
 
-def test_record(pixels, tmp_path):
+def test_record_finished_run_writes_video_and_contact_sheet(pixels, tmp_path):
     run = [str(pixels), "episodes=2", "steps=30", f"out={tmp_path}"]
     assert record.main(run) == 0
     (film,), (sheet,) = tmp_path.glob("*.mp4"), tmp_path.glob("*.png")
@@ -133,7 +133,7 @@ def test_record(pixels, tmp_path):
     assert cv2.imread(str(sheet)) is not None
 
 
-def test_the_torso_sees_the_stacks_that_acting_makes(pixels):
+def test_policy_torso_features_recorded_states_use_the_stacks_of_acting(pixels):
     (player,) = load_players(pixels)
     draw = np.random.default_rng(0)
     frames = draw.integers(0, 256, (7, 96, 96, 1), np.uint8)
@@ -149,7 +149,7 @@ def test_the_torso_sees_the_stacks_that_acting_makes(pixels):
         np.testing.assert_allclose(found[t], wanted, rtol=2e-3, atol=1e-4)
 
 
-def test_states_follow_one_another_inside_episodes_alone(car):
+def test_collect_states_pairs_stay_inside_one_episode(car):
     player = load_players(car)[0]
     states = collect_states(player, 450, seed=0)
     assert len(states.frames) == 450
@@ -164,7 +164,7 @@ def test_states_follow_one_another_inside_episodes_alone(car):
     np.testing.assert_allclose(z[:5], wanted, rtol=1e-4, atol=1e-5)
 
 
-def test_analyze_the_trajectory(pixels, tmp_path, capsys):
+def test_analyze_committed_trajectory_writes_tables_and_pictures(pixels, tmp_path, capsys):
     out = tmp_path / "out"
     given = [str(pixels), "trajectory=true", "states=120", f"out={out}"]
     assert analyze.main(given) == 0, capsys.readouterr().err
@@ -176,14 +176,14 @@ def test_analyze_the_trajectory(pixels, tmp_path, capsys):
     assert "1.93 ± 1.15" in rows[-1]  # Table 5.9
 
 
-def test_other_environments_are_other_draws(pixels):
+def test_play_episodes_other_environment_seeds_give_other_episodes(pixels):
     (player,) = load_players(pixels)
     first, second = (play_episodes(player, 1, seed=seed, keep=False)[0] for seed in (0, 1))
     assert len(first.frames) == 1
     assert first.action[:50].tolist() != second.action[:50].tolist()
 
 
-def test_code_that_a_stored_file_names_is_not_run(car, tmp_path):
+def test_evaluate_module_named_by_a_stored_file_is_not_executed(car, tmp_path):
     bonus = tmp_path / "bonus.py"
     bonus.write_text("open('ran', 'w')\n")
     run = tmp_path / "run"
@@ -194,7 +194,7 @@ def test_code_that_a_stored_file_names_is_not_run(car, tmp_path):
         load_players(run)
 
 
-def test_a_damaged_checkpoint_is_named_and_the_one_before_taken(car, tmp_path, capsys):
+def test_evaluate_damaged_checkpoint_is_named_and_the_previous_used(car, tmp_path, capsys):
     run = tmp_path / "run"
     shutil.copytree(car, run)
     newest = max((run / "checkpoints").iterdir(), key=lambda path: int(path.name))
@@ -204,7 +204,7 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_taken(car, tmp_path, c
 
 
 @pytest.mark.parametrize("command", [analyze, evaluate, record])
-def test_bad_input(command, car, pixels, tmp_path, capsys):
+def test_evaluate_bad_input_is_one_line(command, car, pixels, tmp_path, capsys):
     assert command.main([str(tmp_path)]) == 2
     assert "there is no run" in capsys.readouterr().err
     assert command.main([str(car), "nothing=1"]) == 2

@@ -38,7 +38,7 @@ def rows_of(table):
     return {tuple(row[:2]): row[2:] for row in table.rows}
 
 
-def test_tables_by_hand(runs):
+def test_thesis_tables_made_up_runs_match_hand_computed_tables(runs):
     groups = group_runs(find_runs([runs])[0])
     mine = rows_of(thesis_table("5.6", groups))
     # Seeds' means over all episodes are 2 and 1; the deviation is over the population.
@@ -54,7 +54,7 @@ def test_tables_by_hand(runs):
     assert chances.rows[1] == ["rnd", "1.00", "", ""]  # they share no environment with the third
 
 
-def test_the_numbers_of_the_thesis_are_those_of_its_tables(runs):
+def test_thesis_numbers_committed_file_matches_the_thesis(runs):
     with open("experiments/data/thesis.csv", newline="") as file:
         known = [row for row in csv.DictReader(file) if row["table"] == "5.8"]
     table = thesis_table("5.8", [])
@@ -64,7 +64,7 @@ def test_the_numbers_of_the_thesis_are_those_of_its_tables(runs):
         assert float(row[-1].split(" ± ")[0]) == float(number["value"])
 
 
-def test_the_page_and_its_parts(runs, tmp_path, capsys):
+def test_report_of_runs_writes_page_pictures_and_tables(runs, tmp_path, capsys):
     (runs / "half").mkdir()
     (runs / "half" / "config.yaml").write_text("{}")
     out = tmp_path / "out"
@@ -82,7 +82,7 @@ def test_the_page_and_its_parts(runs, tmp_path, capsys):
     assert [r["ours"] for r in rows if r["ours"]] == ["1.50 ± 0.50"]
 
 
-def test_nothing_to_report(tmp_path, capsys):
+def test_report_directory_without_runs_is_one_line(tmp_path, capsys):
     assert main([str(tmp_path), f"out={tmp_path / 'out'}"]) == 2
     assert "nothing to report" in capsys.readouterr().err
     assert main(["out=x"]) == 2
@@ -90,7 +90,7 @@ def test_nothing_to_report(tmp_path, capsys):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 @pytest.mark.parametrize("size", ["1280,900", "390,844"])
-def test_a_browser_shows_it(runs, tmp_path, size):
+def test_report_page_is_shown_by_a_browser(runs, tmp_path, size):
     out = tmp_path / "out"
     assert main([str(runs), f"out={out}"]) == 0
     page = out / "index.html"
@@ -118,7 +118,7 @@ def test_a_browser_shows_it(runs, tmp_path, size):
     assert found["overflow"] <= 0
 
 
-def test_a_curve_is_the_mean_of_what_is_held(runs, tmp_path):
+def test_draw_curves_several_seeds_is_their_mean(runs, tmp_path):
     group = next(g for g in group_runs(find_runs([runs])[0]) if g.name == "rnd")
     steps, values = QUANTITIES["return"].of(group.seeds[0])
     np.testing.assert_allclose(values, [0.0, 0.01])
@@ -133,7 +133,7 @@ def test_a_curve_is_the_mean_of_what_is_held(runs, tmp_path):
     assert {(row["step"], row["mean"]) for row in rows} == {("100.0", "0.5")}
 
 
-def test_an_agent_that_never_gets_anything_has_a_curve_too(tmp_path):
+def test_draw_curves_return_always_zero_is_drawn(tmp_path):
     made(tmp_path / "ppo", ["env=MountainCar", "algo=ppo"], {0: [(64, 0.0, 0.0)]}, {0: [0.0, 0.0]})
     log = tmp_path / "ppo" / "metrics.jsonl"
     lines = [
@@ -148,14 +148,14 @@ def test_an_agent_that_never_gets_anything_has_a_curve_too(tmp_path):
     )  # the baseline has none
 
 
-def test_a_seed_counts_once_as_far_as_it_went(runs):
+def test_find_runs_repeated_seed_is_counted_once_at_its_longest(runs):
     made(runs / "again", ["env=Venture", "algo=snd_vic"], {0: [(9, 9.0, 9.0)]}, {0: [0.5]})
     made(runs / "without", ["env=Venture", "algo=snd_vic", "seed=7"], {7: []}, {7: [0.5]})
     mine = rows_of(thesis_table("5.6", group_runs(find_runs([runs])[0])))
     assert mine["Venture", "SND-VIC"][:3] == ["1.50 ± 0.50", "2", "0.000128 to 0.000256"]
 
 
-def test_names_that_are_no_file_names(runs, tmp_path):
+def test_report_names_with_slashes_become_file_names(runs, tmp_path):
     path = made(runs / "odd", ["env=gymnasium", "env.id=CartPole-v1", "algo=rnd"], {0: [(9, 1, 1)]})
     text = (path / "config.yaml").read_text()
     (path / "config.yaml").write_text(text.replace("name: gymnasium", "name: ../../$x{"))

@@ -12,7 +12,7 @@ from experiments.reporting.seed_statistics import (
 )
 
 
-def test_an_interval_holds_the_mean_as_often_as_it_says():
+def test_bootstrap_interval_many_samples_covers_the_mean_at_its_rate():
     draw = np.random.default_rng(0)
     covered = 0
     for _ in range(200):
@@ -22,7 +22,7 @@ def test_an_interval_holds_the_mean_as_often_as_it_says():
     assert 180 <= covered <= 196
 
 
-def test_an_interval_of_a_curve_is_that_of_each_point():
+def test_bootstrap_interval_curve_equals_interval_of_each_point():
     values = np.random.default_rng(1).normal(size=(6, 3))
     low, high = bootstrap_interval(values)
     assert low.shape == high.shape == (3,)
@@ -30,16 +30,16 @@ def test_an_interval_of_a_curve_is_that_of_each_point():
     np.testing.assert_allclose((high - low) / 2, exact, rtol=0.2)
 
 
-def test_one_seed_has_no_interval():
+def test_bootstrap_interval_one_seed_is_none():
     assert bootstrap_interval(np.array([1.0])) is None
 
 
-def test_the_interquartile_mean_leaves_a_quarter_out_on_each_side():
+def test_interquartile_mean_outliers_a_quarter_on_each_side_is_left_out():
     values = np.random.default_rng(2).permutation(np.arange(12.0) ** 2)
     assert interquartile_mean(values) == np.mean(np.arange(3.0, 9) ** 2)
 
 
-def test_improvement_by_counting():
+def test_probability_of_improvement_one_task_equals_counted_share():
     draw = np.random.default_rng(3)
     ours, theirs = draw.integers(0, 4, 7).astype(float), draw.integers(0, 4, 5).astype(float)
     counted = [(x > y) + (x == y) / 2 for x in ours for y in theirs]
@@ -47,7 +47,7 @@ def test_improvement_by_counting():
     assert probability_of_improvement(np.zeros(3), np.zeros(2)) == 0.5
 
 
-def test_improvements_over_tasks_and_their_interval():
+def test_mean_improvement_several_tasks_is_mean_with_interval():
     draw = np.random.default_rng(5)
     near = draw.normal(0.5, 1, 40), draw.normal(0, 1, 30)
     far = np.array([5.0, 6.0]), np.array([1.0, 2.0, 3.0])
@@ -59,7 +59,7 @@ def test_improvements_over_tasks_and_their_interval():
     assert mean_improvement([(np.ones(1), np.zeros(3))]) == (1.0, None)
 
 
-def test_smoothing_is_the_recursion():
+def test_exponential_smoothing_curve_equals_the_recursion():
     values = np.random.default_rng(4).normal(size=50)
     wanted, last = [], values[0]
     for x in values:
@@ -69,7 +69,7 @@ def test_smoothing_is_the_recursion():
     assert not len(exponential_smoothing(np.array([])))
 
 
-def test_a_grid_ends_where_the_first_curve_does_and_begins_where_all_have():
+def test_resample_curves_curves_of_unequal_length_spans_their_overlap():
     steps, values = resample_curves(
         [(np.array([2, 8]), np.array([1, 5])), (np.array([0, 6]), [0, 1])], 5
     )

@@ -28,7 +28,7 @@ def lines(raw):
 
 
 @pytest.mark.parametrize("raw", RAW, ids=lambda path: path.stem)
-def test_the_page_holds_the_tables_that_the_raw_figures_make(raw):
+def test_seed_table_committed_raw_figures_give_the_tables_of_the_page(raw):
     page = (RESULTS / "explores.md").read_text().splitlines()
     assert len(lines(raw)) > 2
     assert set(lines(raw)) <= set(page)
@@ -36,7 +36,7 @@ def test_the_page_holds_the_tables_that_the_raw_figures_make(raw):
     assert f"explores/{raw.name}" in "\n".join(page)
 
 
-def test_every_line_of_several_seeds_has_raw_figures():
+def test_seed_table_committed_lines_all_have_raw_figures():
     page = (RESULTS / "explores.md").read_text().splitlines()
     shown = {
         line for line in page if line.startswith("| `") and re.search(r"\| \d of [2-9] \|", line)
@@ -45,7 +45,7 @@ def test_every_line_of_several_seeds_has_raw_figures():
     assert shown == known
 
 
-def test_the_overview_of_minigrid_is_of_the_same_figures():
+def test_seed_table_minigrid_overview_has_the_same_figures():
     page = (RESULTS / "explores.md").read_text()
     _, begin, rest = page.partition("| seeds of five that solve it")
     head, _, *shown = (begin + rest.partition("\n\n")[0]).splitlines()
@@ -101,7 +101,7 @@ def sweep(tmp_path):
     return tmp_path / "sweep"
 
 
-def test_a_sweep_becomes_a_table_and_what_is_not_finished_is_named(sweep, tmp_path, capsys):
+def test_seed_table_unfinished_run_of_a_sweep_is_named(sweep, tmp_path, capsys):
     assert main([str(sweep), "--out", str(tmp_path / "made")]) == 0
     printed = capsys.readouterr()
     end = "mean [95%] | at least 0.9 | mean of all episodes | median s |"
@@ -126,7 +126,7 @@ def test_a_sweep_becomes_a_table_and_what_is_not_finished_is_named(sweep, tmp_pa
     assert capsys.readouterr().out == printed.out
 
 
-def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, monkeypatch):
+def test_seed_table_picture_has_a_dot_for_every_seed(sweep, tmp_path, monkeypatch):
     figures = []
     save = seed_table.save_figure
     keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
@@ -145,7 +145,7 @@ def test_the_picture_has_a_dot_for_every_seed_the_zeros_too(sweep, tmp_path, mon
 
 
 @pytest.mark.filterwarnings("error::UserWarning")  # of axes that have no room left
-def test_a_long_name_leaves_the_picture_its_room(tmp_path, monkeypatch):
+def test_seed_table_picture_long_name_leaves_room_for_the_axes(tmp_path, monkeypatch):
     figures = []
     save = seed_table.save_figure
     keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
@@ -159,7 +159,7 @@ def test_a_long_name_leaves_the_picture_its_room(tmp_path, monkeypatch):
     assert axes.get_position().width > 0.3
 
 
-def test_two_runs_of_one_name_are_not_taken_for_one(sweep, capsys):
+def test_seed_table_two_runs_of_one_name_stay_separate(sweep, capsys):
     other = sweep / "again" / "0"
     summed(other, ["env=MountainCar", "algo=ppo", "ppo.clip=0.2"], {0: 0.5})
     assert main([str(sweep)]) == 2
@@ -169,12 +169,12 @@ def test_two_runs_of_one_name_are_not_taken_for_one(sweep, capsys):
     assert "is a second run called" in capsys.readouterr().err
 
 
-def test_nothing_to_show_is_said(tmp_path, capsys):
+def test_seed_table_directory_without_runs_is_one_line(tmp_path, capsys):
     assert main([str(tmp_path)]) == 2
     assert "no finished run in" in capsys.readouterr().err
 
 
-def test_snd_vic_reaches_the_goal_of_mountain_car_as_in_the_table(tmp_path):
+def test_run_snd_vic_on_mountain_car_reaches_the_goal_as_in_the_table(tmp_path):
     command = [sys.executable, "-m", "experiments.run", "-m", "sweep=small", "algo=snd_vic"]
     command += ["seed=0", f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.launcher.n_jobs=2"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)

@@ -7,7 +7,7 @@ import pytest
 from experiments.storage.append_log import AppendLog, read_until_mark
 
 
-def test_a_log_goes_on_at_its_mark(tmp_path):
+def test_AppendLog_resumed_continues_at_its_mark(tmp_path):
     path = tmp_path / "log"
     log = AppendLog(path)
     log.write("one\n")
@@ -25,7 +25,7 @@ def test_a_log_goes_on_at_its_mark(tmp_path):
     assert path.read_text() == ""
 
 
-def test_a_log_that_is_not_what_was_marked_is_refused_and_left_alone(tmp_path):
+def test_AppendLog_changed_before_its_mark_is_refused_and_unchanged(tmp_path):
     path = tmp_path / "log"
     log = AppendLog(path)
     log.write("one\ntwo\n")
@@ -42,7 +42,7 @@ def test_a_log_that_is_not_what_was_marked_is_refused_and_left_alone(tmp_path):
         assert text is None or path.read_text() == text
 
 
-def test_a_line_that_the_disk_has_no_room_for_is_not_there_in_part(tmp_path):
+def test_AppendLog_full_disk_writes_no_partial_line(tmp_path):
     """RLIMIT_FSIZE stands for the disk: the system writes what fits, then refuses."""
     code = f"""
 import resource, signal

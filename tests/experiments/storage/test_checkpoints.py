@@ -55,7 +55,7 @@ def state():
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_state_comes_back_bit_for_bit(name, tmp_path):
+def test_Checkpoints_load_saved_state_is_identical(name, tmp_path):
     state = first_state(name)
     assert restore(tmp_path, state) is None
     saved(tmp_path, state, [1, 2, 3])
@@ -70,7 +70,7 @@ def test_a_state_comes_back_bit_for_bit(name, tmp_path):
         np.testing.assert_array_equal(one, other)
 
 
-def test_the_state_may_be_used_up_while_it_is_written(state, tmp_path, monkeypatch):
+def test_Checkpoints_save_donated_state_is_written_correctly(state, tmp_path, monkeypatch):
     go_on, written = threading.Event(), checkpoint.write_tree
     monkeypatch.setattr(checkpoint, "write_tree", lambda *args: go_on.wait(10) and written(*args))
     checkpoints = Checkpoints(tmp_path)
@@ -98,11 +98,11 @@ def test_the_state_may_be_used_up_while_it_is_written(state, tmp_path, monkeypat
         ([float("nan"), 1.0, float("inf"), 0.0, 0.0], [2, 4, 5]),
     ],
 )
-def test_the_newest_two_stay_and_the_best(returns, kept, state, tmp_path):
+def test_Checkpoints_save_keeps_the_newest_two_and_the_best(returns, kept, state, tmp_path):
     assert saved(tmp_path, state, [1, 2, 3, 4, 5], returns).steps() == kept
 
 
-def test_what_is_beyond_the_one_that_was_gone_on_from_is_removed(state, tmp_path):
+def test_Checkpoints_resumed_later_checkpoints_are_removed(state, tmp_path):
     saved(tmp_path, state, [10, 20])
     (tmp_path / "checkpoints" / "20" / "manifest.json").write_text("{")
     checkpoints = Checkpoints(tmp_path)
@@ -122,7 +122,7 @@ class Bomb:
         return open, (str(self.path), "w")
 
 
-def test_arrays_that_would_execute_something_are_refused(state, tmp_path, monkeypatch):
+def test_Checkpoints_load_arrays_with_code_are_refused(state, tmp_path, monkeypatch):
     """However well its manifest is made."""
     saved(tmp_path, state, [1])
     path, trace = tmp_path / "checkpoints" / "1", tmp_path / "trace"
@@ -133,7 +133,7 @@ def test_arrays_that_would_execute_something_are_refused(state, tmp_path, monkey
     assert not trace.exists()
 
 
-def test_numpy_alone_reads_what_was_written(state, tmp_path):
+def test_Checkpoints_saved_arrays_are_read_by_numpy(state, tmp_path):
     saved(tmp_path, state, [1])
     archive = np.load(tmp_path / "checkpoints" / "1" / "arrays.npz")
     assert len(archive.files) == len(jax.tree.leaves(state))
@@ -145,7 +145,7 @@ def every_file(path):
     return sorted(p for p in path.rglob("*") if p.is_file() and p.stat().st_size)
 
 
-def test_one_flipped_bit_anywhere_is_found_and_the_one_before_taken(state, tmp_path):
+def test_Checkpoints_find_one_flipped_bit_uses_the_previous(state, tmp_path):
     saved(tmp_path, state, [1, 2])
     draw = random.Random(0)
     for file in every_file(tmp_path / "checkpoints" / "2"):
@@ -162,7 +162,7 @@ def test_one_flipped_bit_anywhere_is_found_and_the_one_before_taken(state, tmp_p
     assert restore(tmp_path, state)[0] == 2
 
 
-def test_a_missing_file_a_cut_one_and_a_log_that_does_not_fit_are_found(state, tmp_path):
+def test_Checkpoints_find_missing_cut_or_unfitting_file_uses_the_previous(state, tmp_path):
     saved(tmp_path, state, [1, 2])
     for file in every_file(tmp_path / "checkpoints" / "2"):
         whole = file.read_bytes()
@@ -180,7 +180,7 @@ def test_a_missing_file_a_cut_one_and_a_log_that_does_not_fit_are_found(state, t
     assert "metrics.jsonl does not match its digest" in said[0]
 
 
-def test_none_that_can_be_used_is_an_error_and_not_a_fresh_start(state, tmp_path):
+def test_Checkpoints_find_all_damaged_raises(state, tmp_path):
     saved(tmp_path, state, [1, 2])
     for step in "12":
         (tmp_path / "checkpoints" / step / "manifest.json").unlink()
@@ -188,7 +188,7 @@ def test_none_that_can_be_used_is_an_error_and_not_a_fresh_start(state, tmp_path
         restore(tmp_path, state)
 
 
-def test_one_with_the_state_of_another_iteration_is_refused(state, tmp_path):
+def test_Checkpoints_find_state_of_another_iteration_is_refused(state, tmp_path):
     checkpoints = Checkpoints(tmp_path)
     checkpoints.save(7, state, {})
     checkpoints.wait()
@@ -196,20 +196,20 @@ def test_one_with_the_state_of_another_iteration_is_refused(state, tmp_path):
         restore(tmp_path, state)
 
 
-def test_a_directory_that_is_no_number_is_none_of_them(state, tmp_path):
+def test_Checkpoints_find_directory_without_a_number_is_ignored(state, tmp_path):
     saved(tmp_path, state, [1])
     for name in ("\u00b2", "-3", "1.5", "x"):
         (tmp_path / "checkpoints" / name).mkdir()
     assert Checkpoints(tmp_path).steps() == [1]
 
 
-def test_one_of_other_shapes_is_refused(state, tmp_path):
+def test_Checkpoints_load_other_shapes_are_refused(state, tmp_path):
     saved(tmp_path, state, [1])
     with pytest.raises(CheckpointError, match=r"float32\[2, .*16.*\], not float32\[2, .*12"):
         restore(tmp_path, first_state("snd_vic", width=12))
 
 
-def test_what_was_killed_while_it_was_written_is_no_checkpoint(state, tmp_path, monkeypatch):
+def test_Checkpoints_find_unfinished_write_is_ignored(state, tmp_path, monkeypatch):
     saved(tmp_path, state, [1])
 
     def killed(*_):
@@ -221,7 +221,7 @@ def test_what_was_killed_while_it_was_written_is_no_checkpoint(state, tmp_path, 
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["1"]
 
 
-def test_a_write_that_fails_is_told_at_the_next_one(state, tmp_path, monkeypatch):
+def test_Checkpoints_save_failed_write_raises_at_the_next_save(state, tmp_path, monkeypatch):
     checkpoints = saved(tmp_path, state, [1])
 
     def full(*_):
@@ -236,7 +236,7 @@ def test_a_write_that_fails_is_told_at_the_next_one(state, tmp_path, monkeypatch
 
 
 @pytest.mark.survival
-def test_writing_checkpoints_stops_taking_memory(tmp_path):
+def test_Checkpoints_save_many_times_keeps_memory_constant(tmp_path):
     code = f"""
 from pathlib import Path
 import numpy as np

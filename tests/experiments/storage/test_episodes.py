@@ -8,7 +8,7 @@ from experiments.storage.episodes import Episode, EpisodeSummary, EpisodeTracker
 
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 3, 12]))
-def test_episodes_are_those_of_a_plain_loop_however_the_rows_are_split(seed, length):
+def test_EpisodeTracker_any_split_of_rows_equals_a_plain_loop(seed, length):
     rng = np.random.default_rng(seed)
     seeds, steps, envs = 2, 12, 3
     parts = [episodes(rng, steps, envs) for _ in range(seeds)]
@@ -44,7 +44,7 @@ def test_episodes_are_those_of_a_plain_loop_however_the_rows_are_split(seed, len
         assert [episode for _, _, episode in sorted(wanted)] == got[s]
 
 
-def test_a_summary_counts_all_episodes_and_the_last_hundred():
+def test_EpisodeSummary_of_a_run_counts_all_episodes_and_the_last_hundred():
     summary = EpisodeSummary()
     assert summary.figures() == {
         "episodes": 0,

@@ -8,7 +8,7 @@ CAR = ["env=MountainCar", "algo=rnd", "num_seeds=2"]
 EPISODES = {0: [(64, 0.0, 0.0), (128, 1.0, 2.0)], 1: [(32, 1.0, 1.0)]}
 
 
-def test_a_run_is_read_by_seed(tmp_path):
+def test_read_run_several_seeds_are_separate(tmp_path):
     run = read_run(made(tmp_path / "a", CAR, EPISODES, {0: [0.5, 0.25], 1: [0.5, None]}))
     first, second = run.seeds
     np.testing.assert_array_equal(first.episodes["ext_return"], [0, 1])
@@ -18,7 +18,7 @@ def test_a_run_is_read_by_seed(tmp_path):
     assert run.steps == 256
 
 
-def test_a_half_written_line_is_left_out_and_named(tmp_path):
+def test_read_run_half_written_line_is_left_out_and_named(tmp_path):
     path = made(tmp_path / "a", CAR, EPISODES)
     for name, text in (("metrics.jsonl", '{"step": 3'), ("episodes.csv", "1,99,10,1")):
         with (path / name).open("a") as file:
@@ -46,7 +46,7 @@ def test_a_half_written_line_is_left_out_and_named(tmp_path):
         ("config.yaml", "\0", "cannot be read"),
     ],
 )
-def test_what_cannot_be_read_is_left_out_by_name(tmp_path, name, text, why):
+def test_find_runs_unreadable_run_is_left_out_and_named(tmp_path, name, text, why):
     made(tmp_path / "good", CAR, EPISODES)
     (made(tmp_path / "bad", CAR, EPISODES) / name).write_text(text)
     runs, ((path, said),) = find_runs([tmp_path])
@@ -55,7 +55,7 @@ def test_what_cannot_be_read_is_left_out_by_name(tmp_path, name, text, why):
     assert why in said
 
 
-def test_directories_without_runs(tmp_path):
+def test_find_runs_directory_without_runs_is_named(tmp_path):
     made(tmp_path / "a", CAR, EPISODES)
     (tmp_path / "empty").mkdir()
     places = [tmp_path / "a", tmp_path, tmp_path / "empty", tmp_path / "none"]
@@ -64,7 +64,7 @@ def test_directories_without_runs(tmp_path):
     assert [why for _, why in left_out] == ["no run in it", "there is no such directory"]
 
 
-def test_seeds_go_together_and_settings_do_not(tmp_path):
+def test_group_runs_joins_seeds_and_separates_settings(tmp_path):
     made(tmp_path / "a", CAR, EPISODES)
     made(tmp_path / "b", ["env=MountainCar", "algo=rnd", "seed=5"], {5: EPISODES[0]})
     made(tmp_path / "c", [*CAR, "algo.eta=3"], EPISODES)

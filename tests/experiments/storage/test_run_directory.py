@@ -16,7 +16,7 @@ def at(path, **changes):
     return dataclasses.replace(CONFIG, run_dir=str(path), **changes)
 
 
-def test_an_empty_or_missing_directory_is_taken_and_given_back_as_it_was(tmp_path):
+def test_RunDirectory_empty_or_missing_is_taken_and_restored_on_failure(tmp_path):
     for path in (tmp_path / "empty", tmp_path / "new" / "deep"):
         if path.name == "empty":
             path.mkdir()
@@ -25,14 +25,14 @@ def test_an_empty_or_missing_directory_is_taken_and_given_back_as_it_was(tmp_pat
     assert not any((tmp_path / "empty").iterdir())
 
 
-def test_a_directory_with_something_in_it_is_refused_and_left_alone(tmp_path):
+def test_RunDirectory_with_files_is_refused_and_unchanged(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(ConfigError, match="not empty"):
         RunDirectory(at(tmp_path))
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
-def test_a_directory_in_use_is_refused_until_its_process_is_gone(tmp_path):
+def test_RunDirectory_in_use_is_refused_until_its_process_ends(tmp_path):
     code = (
         "import sys, time; from experiments.config.compose import load_config\n"
         "from experiments.storage.run_directory import RunDirectory\n"
@@ -47,7 +47,7 @@ def test_a_directory_in_use_is_refused_until_its_process_is_gone(tmp_path):
     RunDirectory(at(tmp_path)).discard()
 
 
-def test_a_place_that_cannot_be_written_is_refused(tmp_path):
+def test_RunDirectory_without_write_permission_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot write to"):
         RunDirectory(at(tmp_path / "file" / "run"))
@@ -59,7 +59,7 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path):
             RunDirectory(at(tmp_path / "run"))
 
 
-def test_runs_are_filed_by_environment_and_algorithm():
+def test_RunDirectory_default_is_named_by_environment_and_algorithm():
     path = new_run_path(CONFIG)
     assert path.parts[:3] == ("runs", "Venture", "rnd")
     assert path != new_run_path(CONFIG)

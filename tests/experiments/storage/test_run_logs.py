@@ -33,7 +33,7 @@ def filled(path, iterations=3, marked=0):
     return (records, manifest) if marked else records
 
 
-def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
+def test_RunLogs_write_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
     records = filled(tmp_path)
     line = records.log_iteration(0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf})
     records.flush()
@@ -50,7 +50,7 @@ def test_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
     assert any((tmp_path / "tensorboard" / "seed_5").iterdir())
 
 
-def test_a_reward_that_is_not_finite_is_null_in_every_file(tmp_path):
+def test_RunLogs_write_reward_not_finite_is_null_in_every_file(tmp_path):
     records = filled(tmp_path)
     worse = Episode(4, 32, 3, math.nan, math.inf, 0.1, 2)
     line = records.log_iteration(0, [worse], ENTRY | {"step": 32})
@@ -71,7 +71,7 @@ def test_a_reward_that_is_not_finite_is_null_in_every_file(tmp_path):
     assert math.isnan(again.summaries[0].last100)
 
 
-def test_summary_is_one_object_a_seed(tmp_path):
+def test_RunLogs_summary_has_one_object_per_seed(tmp_path):
     records = filled(tmp_path)
     records.summarize(24)
     seeds = json.loads((tmp_path / "summary.json").read_text())["seeds"]
@@ -87,7 +87,7 @@ def test_summary_is_one_object_a_seed(tmp_path):
     }
 
 
-def test_going_on_from_a_checkpoint_cuts_what_came_after_it_and_counts_what_was_before(tmp_path):
+def test_RunLogs_resumed_cuts_later_lines_and_counts_earlier_ones(tmp_path):
     whole = filled(tmp_path / "a", 4)
     whole.summarize(32)
     killed, manifest = filled(tmp_path / "b", 3, marked=2)
@@ -111,7 +111,7 @@ def test_going_on_from_a_checkpoint_cuts_what_came_after_it_and_counts_what_was_
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
 
 
-def test_logs_that_were_changed_before_the_checkpoint_do_not_fit_it(tmp_path):
+def test_RunLogs_resumed_logs_changed_before_the_checkpoint_are_refused(tmp_path):
     records, manifest = filled(tmp_path / "a", 3, marked=2)
     records.close()
     check_logs(tmp_path / "a", [4, 5], manifest["logs"])
@@ -123,7 +123,7 @@ def test_logs_that_were_changed_before_the_checkpoint_do_not_fit_it(tmp_path):
         check_logs(tmp_path / "a", [4, 5], manifest["logs"])
 
 
-def test_without_a_checkpoint_the_logs_begin_again(tmp_path):
+def test_RunLogs_without_checkpoint_start_empty(tmp_path):
     filled(tmp_path / "a", 3).close()
     RunLogs(tmp_path / "a", [4, 5], rooms=True, marks={}).close()
     assert (tmp_path / "a" / "metrics.jsonl").read_text() == ""

@@ -9,7 +9,7 @@ def line(step, seed=4):
     return {"step": step, "seed": seed, "episodes": 1, "loss": 0.5 * step, "ext_return": None}
 
 
-def test_every_fraction_is_a_scalar_of_its_seed(tmp_path):
+def test_TensorBoardWriter_numbers_become_scalars_of_their_seed(tmp_path):
     boards = TensorBoardWriter(tmp_path, [4, 5])
     boards.add(line(8), 100.0)
     boards.add(line(8, 5), 100.0)
@@ -21,7 +21,7 @@ def test_every_fraction_is_a_scalar_of_its_seed(tmp_path):
     assert [(v.tag, v.simple_value) for v in event.summary.value] == [("loss", 4.0)]
 
 
-def test_a_run_that_goes_on_has_one_branch(tmp_path):
+def test_TensorBoardWriter_resumed_run_has_one_curve(tmp_path):
     boards = TensorBoardWriter(tmp_path, [4])
     boards.add(line(8), 1.0)
     boards.add(line(16), 2.0)

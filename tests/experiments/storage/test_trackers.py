@@ -30,7 +30,7 @@ def stored(tmp_path):
     return found
 
 
-def test_mlflow_holds_every_line_once_though_the_run_was_killed(tmp_path, monkeypatch):
+def test_trackers_mlflow_killed_run_has_every_line_once(tmp_path, monkeypatch):
     pytest.importorskip("mlflow")
     monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")
     path = tmp_path / "run"
@@ -51,7 +51,7 @@ def test_mlflow_holds_every_line_once_though_the_run_was_killed(tmp_path, monkey
         assert steps == own
 
 
-def test_wandb_keeps_a_run_for_every_seed_on_this_machine(tmp_path, monkeypatch):
+def test_trackers_wandb_offline_has_one_run_per_seed(tmp_path, monkeypatch):
     pytest.importorskip("wandb")
     monkeypatch.setenv("WANDB_DIR", str(tmp_path))
     arguments = [*CAR, "algo=ppo", "tracker=wandb", "num_seeds=2", "total_steps=256"]
@@ -72,7 +72,7 @@ class Broken:
         raise RuntimeError("it is still down")
 
 
-def test_a_tracker_that_breaks_is_told_no_more_and_nothing_else_happens(tmp_path):
+def test_trackers_failing_tracker_is_dropped_and_the_run_continues(tmp_path):
     config = load_config(["env=MountainCar", "algo=ppo"])
     tracker = Tracker(config, tmp_path)
     tracker.service = Broken()
@@ -86,7 +86,7 @@ def test_a_tracker_that_breaks_is_told_no_more_and_nothing_else_happens(tmp_path
     tracker.close(finished=True)
 
 
-def test_a_run_that_is_opened_again_before_anything_was_told_is_the_same_run(tmp_path, monkeypatch):
+def test_trackers_reopened_before_the_first_line_is_the_same_run(tmp_path, monkeypatch):
     pytest.importorskip("mlflow")
     monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")
     monkeypatch.chdir(tmp_path)
@@ -104,7 +104,7 @@ class Kept(list):
         self.extend((seed, line["iteration"]) for line in lines)
 
 
-def test_a_line_is_told_once_its_checkpoint_stands(tmp_path):
+def test_trackers_line_is_sent_after_its_checkpoint(tmp_path):
     tracker = Tracker(load_config(["env=MountainCar", "algo=ppo"]), tmp_path)
     tracker.service = kept = Kept()
     tracker.queue_lines([{"iteration": i, "seed": 0, "step": i} for i in (1, 2, 3)])
@@ -116,7 +116,7 @@ def test_a_line_is_told_once_its_checkpoint_stands(tmp_path):
     assert kept == [(0, 1), (0, 2), (0, 3)]
 
 
-def test_a_tracker_that_is_not_installed_is_refused(tmp_path, monkeypatch):
+def test_trackers_not_installed_is_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "wandb", None)
     with pytest.raises(ConfigError, match=r"pip install '\.\[wandb\]'"):
         Tracker(load_config(["env=MountainCar", "algo=ppo", "tracker=wandb"]), tmp_path)

@@ -10,12 +10,12 @@ from experiments.sweeps.job_runner import JobRunner, failure_reason, visible_gpu
     ("shown", "names"),
     [("6,7", ("6", "7")), ("-1", ()), ("", ()), ("GPU-a, GPU-b,-1,0", ("GPU-a", "GPU-b"))],
 )
-def test_gpus_go_by_the_names_that_the_process_may_use(shown, names, monkeypatch):
+def test_visible_gpus_are_those_that_the_process_may_use(shown, names, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", shown)
     assert visible_gpus() == names
 
 
-def test_two_cells_have_two_gpus_and_a_third_shares_one(tmp_path, monkeypatch):
+def test_JobRunner_three_jobs_on_two_gpus_share_one(tmp_path, monkeypatch):
     monkeypatch.setattr(work.tempfile, "gettempdir", lambda: str(tmp_path))
     own = JobRunner(str(tmp_path), str(tmp_path), 0, (), 1, ("6", "7"))
     with own.device() as first, own.device() as second, own.device() as third:
@@ -28,7 +28,7 @@ def test_two_cells_have_two_gpus_and_a_third_shares_one(tmp_path, monkeypatch):
         assert none == {}
 
 
-def test_the_reason_of_an_end_is_the_runs_own_word():
+def test_JobRunner_failed_run_gives_its_last_line_as_reason():
     assert failure_reason(["step 1", "sndjax: entropy is nan", "and more"], 1) == "entropy is nan"
     assert failure_reason(["Traceback", "KeyError: 3"], 1) == "KeyError: 3"
     assert failure_reason([], 7) == "exit status 7"

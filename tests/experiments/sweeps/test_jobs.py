@@ -12,7 +12,7 @@ from experiments.system.errors import ConfigError
 CAR = ["env=MountainCar", "total_steps=1000"]  # one iteration of 4,096 steps
 
 
-def test_a_sweep_is_the_product_of_its_values_and_each_has_a_directory_of_its_own():
+def test_expand_jobs_values_give_their_product_with_separate_directories():
     found = jobs.expand_jobs([*CAR, "algo=rnd,snd_vic", "seed=0,9", "algo.eta=0.5,1"])
     assert [job.name for job in found] == [
         f"MountainCar/{algo}/{seed},algo.eta={eta}"
@@ -22,7 +22,7 @@ def test_a_sweep_is_the_product_of_its_values_and_each_has_a_directory_of_its_ow
     assert {(job.total, job.problem) for job in found} == {(4096, None)}
 
 
-def test_ranges_and_a_fixed_seed():
+def test_expand_jobs_ranges_and_a_fixed_seed_are_expanded():
     assert [c.name for c in jobs.expand_jobs([*CAR, "algo=ppo", "seed=range(2)"])] == [
         "MountainCar/ppo/0",
         "MountainCar/ppo/1",
@@ -30,13 +30,13 @@ def test_ranges_and_a_fixed_seed():
     assert [c.name for c in jobs.expand_jobs([*CAR, "algo=ppo"])] == ["MountainCar/ppo/0"]
 
 
-def test_the_command_line_comes_after_the_file():
+def test_expand_jobs_command_line_overrides_the_file():
     assert [c.name for c in jobs.expand_jobs(["seed=0,1,2", *CAR, "algo=ppo", "seed=7"])] == [
         "MountainCar/ppo/7"
     ]
 
 
-def test_a_bad_cell_is_known_by_name_and_reason_and_the_others_stand():
+def test_expand_jobs_bad_job_has_a_reason_and_the_others_none():
     found = jobs.expand_jobs(["env=MountainCar,MontainCar", "algo=ppo", "ppo.epochs=2,0"])
     problems = {job.name: job.problem for job in found}
     assert problems["MountainCar/ppo/0,ppo.epochs=2"] is None
@@ -53,12 +53,12 @@ def test_a_bad_cell_is_known_by_name_and_reason_and_the_others_stand():
         (["env=envpool", "env.id=A/b-v1,A-b-v1", "algo=ppo"], "2 jobs would all be"),
     ],
 )
-def test_what_is_no_sweep_is_refused(arguments, words):
+def test_expand_jobs_bad_input_is_refused(arguments, words):
     with pytest.raises(ConfigError, match=words):
         jobs.expand_jobs(arguments)
 
 
-def test_values_of_a_name_stay_inside_the_sweeps_directory():
+def test_expand_jobs_values_with_slashes_stay_inside_the_directory():
     name = jobs.job_name(["env=..", "algo=examples/my_bonus.py:f", "group=../a"], ["group"])
     assert name == "unnamed/f/0,group=..%2Fa"
 
@@ -72,7 +72,7 @@ def left(directory, job, steps, returns, **last):
     jobs.write_job(directory, job, **last)
 
 
-def test_how_far_cells_are_is_read_from_what_they_left(tmp_path):
+def test_job_statuses_are_read_from_the_files_of_the_jobs(tmp_path):
     kinds = ["finished", "failed", "killed", "interrupted", "new", "running", "bad"]
     made = {k: jobs.Job(f"{k}/ppo/0", ["env=x"], 100, None) for k in kinds}
     made["bad"] = made["bad"]._replace(problem="no such thing")
@@ -103,7 +103,7 @@ def test_how_far_cells_are_is_read_from_what_they_left(tmp_path):
     assert shown[-1] == "7 jobs: 1 done, 3 stopped, 2 failed, 1 waiting"  # nobody holds it now
 
 
-def test_a_directory_without_a_sweep_is_refused(tmp_path):
+def test_job_statuses_directory_without_a_sweep_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="no sweep here"):
         job_status.job_statuses(tmp_path)
     (tmp_path / "cells").mkdir()

@@ -8,7 +8,7 @@ from experiments.sweeps import live_table as overview
 from experiments.sweeps.live_table import LiveTable
 
 
-def test_what_changes_is_told_with_its_reason_and_the_time_that_is_left(
+def test_LiveTable_changes_are_printed_with_reason_and_remaining_time(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(overview, "LOOK_SECONDS", 0.05)

@@ -81,7 +81,7 @@ def running(directory):
 
 
 @pytest.mark.parametrize("launcher", ["joblib", pytest.param("ray", marks=needs("ray"))])
-def test_a_sweep_whose_worker_is_killed_is_completed_by_running_again(launcher, tmp_path):
+def test_multirun_worker_killed_is_completed_by_running_again(launcher, tmp_path):
     directory = tmp_path / "sweep"
     command = [*EIGHT, *SMALL, "total_steps=8_000", f"hydra/launcher={launcher}"]
     with start(directory, *command) as process:
@@ -118,7 +118,7 @@ def log(directory, name):
 @pytest.mark.parametrize(
     "launcher", ["joblib", pytest.param("submitit_local", marks=needs("submitit"))]
 )
-def test_a_bad_cell_fails_alone_and_by_name_before_the_others_start(launcher, tmp_path):
+def test_multirun_bad_job_is_named_before_the_others_start(launcher, tmp_path):
     directory = tmp_path / "sweep"
     command = ["env=MountainCar", "algo=ppo", "num_envs=4", "rollout_length=32", "total_steps=128"]
     command += [f"hydra/launcher={launcher}"]
@@ -137,7 +137,7 @@ def test_a_bad_cell_fails_alone_and_by_name_before_the_others_start(launcher, tm
     )
 
 
-def test_a_sweep_is_extended_and_what_is_of_another_configuration_is_refused(tmp_path):
+def test_multirun_extended_sweep_refuses_jobs_of_another_configuration(tmp_path):
     directory = tmp_path / "sweep"
     command = ["env=MountainCar", "algo=ppo", "seed=3", *SMALL]
     sweep(directory, *command, "total_steps=128")
@@ -149,7 +149,7 @@ def test_a_sweep_is_extended_and_what_is_of_another_configuration_is_refused(tmp
     assert [s[1:3] for s in survey(directory)] == [("done", 256)]
 
 
-def test_a_run_that_was_finished_by_hand_is_a_cell_that_is_done(tmp_path):
+def test_multirun_job_finished_by_hand_counts_as_done(tmp_path):
     directory = tmp_path / "sweep"
     mine = ["env=MountainCar", "algo=ppo", *SMALL, "total_steps=128"]
     run = [sys.executable, "-m", "experiments.run", *mine, "seed=3"]
@@ -164,7 +164,7 @@ def test_a_run_that_was_finished_by_hand_is_a_cell_that_is_done(tmp_path):
     assert standing.state == job_status.DONE
 
 
-def test_an_interrupted_sweep_leaves_checkpoints_and_says_how_to_go_on(tmp_path):
+def test_multirun_interrupted_leaves_checkpoints_and_prints_how_to_resume(tmp_path):
     directory = tmp_path / "sweep"
     more = ["hydra.launcher.n_jobs=2", *SMALL]
     with start(directory, "env=MountainCar", "algo=ppo", "seed=0,1,2", *more) as process:
@@ -191,7 +191,7 @@ def test_an_interrupted_sweep_leaves_checkpoints_and_says_how_to_go_on(tmp_path)
         (["env=MountainCar", "algo"], "write key=value"),
     ],
 )
-def test_a_sweep_of_which_nothing_can_run_is_refused(arguments, words, tmp_path):
+def test_multirun_no_job_that_can_run_is_refused(arguments, words, tmp_path):
     process = start(tmp_path / "sweep", *arguments)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 2, out + err
@@ -200,7 +200,7 @@ def test_a_sweep_of_which_nothing_can_run_is_refused(arguments, words, tmp_path)
     assert not (tmp_path / "sweep").exists()
 
 
-def test_without_asserts_a_sweep_is_refused_and_says_how_its_runs_can_do_without(tmp_path):
+def test_multirun_without_asserts_is_refused_with_the_remedy(tmp_path):
     run = [sys.executable, "-O", "-m", "experiments.run", "-m", "env=MountainCar", "algo=rnd"]
     done = subprocess.run([*run, "seed=range(2)"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 2
@@ -209,7 +209,7 @@ def test_without_asserts_a_sweep_is_refused_and_says_how_its_runs_can_do_without
 
 
 @needs("optuna")
-def test_a_search_maximises_what_its_cells_return(tmp_path):
+def test_multirun_search_maximises_the_metric_of_its_jobs(tmp_path):
     directory = tmp_path / "sweep"
     out = sweep(
         directory,

@@ -10,7 +10,7 @@ LINE = {
 }
 
 
-def test_elsewhere_than_on_a_terminal_there_is_one_plain_line_an_iteration(capsys):
+def test_Progress_without_terminal_prints_one_line_per_iteration(capsys):
     progress = Progress("title", 100, 0)
     progress.phase("learning", 60)
     progress.iteration(LINE)
@@ -22,7 +22,7 @@ def test_elsewhere_than_on_a_terminal_there_is_one_plain_line_an_iteration(capsy
     assert "clipped 50%" in line
 
 
-def test_the_display_shows_the_time_gone_against_the_estimate(monkeypatch):
+def test_Progress_compilation_shows_elapsed_and_estimated_time(monkeypatch):
     progress = Progress("title", 100, 0)
     now = progress.since
     monkeypatch.setattr("experiments.system.display.time.monotonic", lambda: now + 23)
@@ -33,7 +33,7 @@ def test_the_display_shows_the_time_gone_against_the_estimate(monkeypatch):
     assert next(iter(progress.render().columns[2].cells)) == "learning 0:23 (50%)"
 
 
-def test_times_and_missing_figures():
+def test_format_duration_and_format_number_missing_figures_are_dashes():
     assert format_duration(59.6) == "1:00"
     assert format_duration(3725) == "1:02:05"
     assert format_number(None) == "-"

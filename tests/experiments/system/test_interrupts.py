@@ -11,7 +11,7 @@ from experiments.system.interrupts import Interrupted, Interrupts
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_waits_for_a_safe_point(number):
+def test_Interrupts_signal_waits_for_a_safe_point(number):
     with Interrupts() as interrupts:
         interrupts.begin()
         os.kill(os.getpid(), number)
@@ -21,7 +21,7 @@ def test_a_signal_waits_for_a_safe_point(number):
     assert stopped.value.status == 128 + number
 
 
-def test_a_wait_is_broken_off_at_once():
+def test_Interrupts_signal_in_a_wait_ends_it_at_once():
     with Interrupts() as interrupts:
         interrupts.begin()
         threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
@@ -33,7 +33,7 @@ def test_a_wait_is_broken_off_at_once():
             raise AssertionError("a signal that came before is not waited for")
 
 
-def test_a_wait_may_end_within_its_grace_and_is_broken_off_after_it():
+def test_Interrupts_signal_in_a_wait_with_grace_ends_it_after_the_grace():
     with Interrupts() as interrupts:
         interrupts.begin()
         with interrupts.waiting(5):
@@ -51,7 +51,7 @@ def test_a_wait_may_end_within_its_grace_and_is_broken_off_after_it():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_before_it_begins_a_signal_ends_the_process(number):
+def test_Interrupts_signal_before_the_start_ends_the_process(number):
     """Also where an exception would be swallowed."""
     code = (
         "import os, signal, time\nfrom experiments.system.interrupts import Interrupts\n"
@@ -65,7 +65,7 @@ def test_before_it_begins_a_signal_ends_the_process(number):
     assert done.stderr == "sndjax: interrupted before the first step\n"
 
 
-def test_an_exception_that_is_swallowed_in_a_wait_is_raised_again(capfd):
+def test_Interrupts_exception_swallowed_in_a_wait_is_raised_again(capfd):
     class Slow:
         def __del__(self):
             time.sleep(0.5)  # what is raised in here goes nowhere
@@ -84,7 +84,7 @@ def test_an_exception_that_is_swallowed_in_a_wait_is_raised_again(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_second_signal_breaks_a_wait_off_at_once():
+def test_Interrupts_second_signal_ends_a_wait_at_once():
     with Interrupts() as interrupts:
         interrupts.begin()
         for delay in (0.1, 0.3):
@@ -95,7 +95,7 @@ def test_a_second_signal_breaks_a_wait_off_at_once():
         assert time.monotonic() - begun < 10
 
 
-def test_handlers_are_put_back():
+def test_Interrupts_exit_restores_the_handlers():
     before = signal.getsignal(signal.SIGINT)
     with Interrupts():
         assert signal.getsignal(signal.SIGINT) != before

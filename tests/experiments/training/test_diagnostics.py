@@ -12,7 +12,7 @@ def batch(reward, valid):
     return Experience(rollout, None, np.array(reward, np.float32), None, None, None)
 
 
-def test_terms_that_are_not_finite_are_named_with_their_seed_in_order():
+def test_nonfinite_terms_are_named_in_order_with_their_seed():
     made = batch([[[1.0, math.nan]], [[math.inf, 1.0]]], [[[True, False]], [[True, True]]])
     metrics = {
         "a_term": [0.0, math.nan],
@@ -45,7 +45,7 @@ GOOD = {"feature_spread": 0.1, "int_reward_clipped": 0.2, "entropy": 2.0}
         ("entropy", 0.01, "the policy is dead"),
     ],
 )
-def test_a_bad_sign_is_warned_of_once_and_only_if_it_lasts(name, value, words):
+def test_HealthMonitor_bad_value_that_lasts_is_warned_of_once(name, value, words):
     signs = HealthMonitor(num_actions=18)
     line = lambda **more: GOOD | {"seed": 3} | more
     said = [signs.update(line(**{name: value})) for _ in range(WINDOW - 1)]
@@ -57,7 +57,7 @@ def test_a_bad_sign_is_warned_of_once_and_only_if_it_lasts(name, value, words):
     assert not any(signs.update(line(**{name: value})) for _ in range(30))
 
 
-def test_good_figures_and_missing_ones_say_nothing():
+def test_HealthMonitor_good_or_missing_values_give_no_warning():
     signs = HealthMonitor(num_actions=3)
     for _ in range(30):
         assert signs.update(GOOD | {"seed": 0}) == []

@@ -5,7 +5,7 @@ from experiments.training.flops import count_flops, estimate_seconds
 from sndjax.convolution import Convolution, convolve, convolve_native
 
 
-def test_patches_and_native_convolution_are_the_same_work():
+def test_count_flops_patches_and_native_convolution_are_equal():
     x, weights = jnp.ones((16, 12, 12, 3)), ((jnp.ones((3, 3, 3, 5)), jnp.ones(5)),)
     layers = (Convolution(5, stride=2),)
     by_hand = 2 * 16 * 6 * 6 * 5 * 3 * 3 * 3
@@ -18,6 +18,6 @@ def test_patches_and_native_convolution_are_the_same_work():
     assert count_flops(training.jaxpr) == 3 * by_hand  # forward 1, backward 2
 
 
-def test_an_estimate_is_a_time():
+def test_estimate_seconds_of_an_update_is_positive():
     program = jax.make_jaxpr(lambda a: a @ a)(jnp.ones((64, 64)))
     assert 0 < estimate_seconds(program.jaxpr) < 1

@@ -85,12 +85,12 @@ def alone(tmp_path_factory):
         (4, 2, EPISODIC),  # seeds over two, and environments over two
     ],
 )
-def test_a_run_on_several_devices_is_the_run_on_one(devices, seeds, algo, alone, tmp_path):
+def test_run_several_devices_equals_the_run_on_one(devices, seeds, algo, alone, tmp_path):
     finish(start(tmp_path / "run", devices, *algo, f"num_seeds={seeds}"))
     assert_same(tmp_path / "run", alone(algo, seeds))
 
 
-def test_environments_that_cannot_be_divided_are_refused(tmp_path):
+def test_run_environments_that_devices_cannot_divide_is_refused(tmp_path):
     process = start(tmp_path / "run", 3, *PLAIN)
     _, err = process.communicate(timeout=120)
     assert process.returncode == 2
@@ -108,7 +108,7 @@ def both(path, *arguments):
     return [start(path, 1, *common, **own, JAX_PROCESS_ID=str(k)) for k in range(2)]
 
 
-def test_two_processes_train_one_run_and_either_goes_on_with_it(alone, tmp_path):
+def test_run_two_processes_train_together_and_each_can_resume(alone, tmp_path):
     """Or one process does, alike."""
     finish(*both(tmp_path / "run"))
     assert_same(tmp_path / "run", alone(PLAIN, 1))
@@ -119,7 +119,7 @@ def test_two_processes_train_one_run_and_either_goes_on_with_it(alone, tmp_path)
     assert_same(tmp_path / "run", tmp_path / "other")
 
 
-def test_where_one_process_is_refused_so_is_the_other(tmp_path):
+def test_run_two_processes_bad_directory_of_one_stops_both(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "mine.txt").touch()
     for process in both(tmp_path / "run"):
@@ -129,7 +129,7 @@ def test_where_one_process_is_refused_so_is_the_other(tmp_path):
         assert "is not empty" in err or "some hosts were refused" in err
 
 
-def test_a_process_that_is_alone_is_told_what_is_missing(tmp_path):
+def test_run_one_process_of_two_times_out_with_what_is_missing(tmp_path):
     process = start(tmp_path / "run", 1, *PLAIN, "distributed=true")
     _, err = process.communicate(timeout=120)
     assert process.returncode == 2

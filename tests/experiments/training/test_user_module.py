@@ -13,7 +13,7 @@ def mine(num_actions, size):
 """
 
 
-def test_the_functions_module_is_returned(tmp_path):
+def test_load_module_function_of_a_file_returns_its_module(tmp_path):
     (tmp_path / "b.py").write_text(GOOD)
     made = load_module(f"{tmp_path}/b.py:mine", 3, VECTOR)
     assert isinstance(made, IntrinsicModule)
@@ -32,7 +32,7 @@ def test_the_functions_module_is_returned(tmp_path):
         ("import no_such_package", "no_such_package"),
     ],
 )
-def test_what_is_wrong_with_it_is_said_in_one_line(text, words, tmp_path):
+def test_load_module_broken_file_raises_one_line(text, words, tmp_path):
     (tmp_path / "b.py").write_text(text)
     with pytest.raises(ConfigError, match=words):
         load_module(f"{tmp_path}/b.py:mine", 3, VECTOR)

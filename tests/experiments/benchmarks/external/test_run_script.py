@@ -57,7 +57,7 @@ def run(code, ours, width=2):
     return names
 
 
-def test_names_of_ours_win_over_definitions_and_imports():
+def test_adapt_script_our_names_replace_definitions_and_imports():
     code = "import math\nfrom os import path as p, sep\nclass A: x = 1\ndef f(): return 1\ny = f()"
     found = run(code, {"f": lambda: 2, "A": 3, "p": 4, "math": 5})
     assert found["y"] == 2
@@ -65,12 +65,12 @@ def test_names_of_ours_win_over_definitions_and_imports():
     assert isinstance(found["sep"], str)
 
 
-def test_what_a_class_calls_its_own_stays():
+def test_adapt_script_attributes_of_a_class_stay():
     found = run("class A:\n    def f(self): return 1\ndef f(): return 3", {"f": lambda: 2})
     assert (found["A"]().f(), found["f"]()) == (1, 2)
 
 
-def test_another_script_is_refused():
+def test_adapt_script_another_script_is_refused():
     with pytest.raises(ConfigError, match="it has no Agent, envpool"):
         adapt_script("import os\nclass B: pass", {"Agent": 1, "envpool": 2, "B": 3}, 2)
 
@@ -85,11 +85,11 @@ def test_another_script_is_refused():
         ("84", 84),
     ],
 )
-def test_two_sides_of_a_frame_are_one_vector(said, meant):
+def test_FrameShapeRewriter_two_sides_of_a_frame_become_one_vector(said, meant):
     assert run(f"x = {said}", {}, width=7)["x"] == meant
 
 
-def test_the_adapted_script_is_else_the_same():
+def test_adapt_script_rest_of_the_script_is_unchanged():
     code = "for k in range(3):\n    a = k + 84\nb = [x for x in 'abc' if x]"
     assert ast.dump(FrameShapeRewriter(2).visit(ast.parse(code))) == ast.dump(ast.parse(code))
 
@@ -99,7 +99,7 @@ def pools(count, seed=3):
     return [make_pool(config.env, [seed], 4) for _ in range(count)]
 
 
-def test_episodes_are_counted_as_a_loop_counts_them():
+def test_EpisodeCountingEnv_episodes_equal_those_of_a_plain_loop():
     pool, other = pools(2)
     counted, rng = EpisodeCountingEnv(pool, ProgressBars(), 10_000), np.random.default_rng(0)
     np.testing.assert_array_equal(counted.reset(), other.reset()[0])
@@ -131,7 +131,7 @@ class Scripted:
         return EnvStep(action, reward, reward, done, done, ~done, None)
 
 
-def test_a_return_is_the_sum_of_an_episodes_rewards():
+def test_EpisodeCountingEnv_return_is_the_sum_of_rewards():
     rewards = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]]
     ends = [[False, True], [False, False], [True, True], [True, True]]
     counted = EpisodeCountingEnv(Scripted(rewards, ends), ProgressBars(), 6)
@@ -144,7 +144,7 @@ def test_a_return_is_the_sum_of_an_episodes_rewards():
     assert counted.ended[3:] == [(8, 7.0), (8, 8.0)]
 
 
-def test_the_warm_up_is_left_out_and_the_last_hundred_are_the_last():
+def test_EpisodeCountingEnv_summary_leaves_the_warm_up_out():
     both = lambda x: [[x(k), x(k)] for k in range(200)]
     counted = EpisodeCountingEnv(Scripted(both(float), both(lambda k: True)), ProgressBars(), 6)
     for _ in range(200):
@@ -168,7 +168,7 @@ def light(monkeypatch):
     monkeypatch.setattr(stand_ins, "cleanrl_networks", lambda width: names)
 
 
-def test_a_script_becomes_a_row_of_the_table(light, tmp_path, capsys):
+def test_external_small_script_becomes_a_row_of_the_table(light, tmp_path, capsys):
     script = tmp_path / "swings.py"
     script.write_text(SWINGS)
     out, argv = tmp_path / "peers", list(sys.argv)
@@ -187,7 +187,7 @@ def test_a_script_becomes_a_row_of_the_table(light, tmp_path, capsys):
     assert "| `CleanRL's RND gamma=0.9 steps=16384` | 1.00 | 1.00 |" in capsys.readouterr().out
 
 
-def test_a_script_starts_where_our_pool_of_its_seed_does(light, tmp_path, capsys):
+def test_external_script_starts_where_our_pool_of_its_seed_does(light, tmp_path, capsys):
     script = tmp_path / "looks.py"
     script.write_text(
         "import envpool\nfrom logs import SummaryWriter, Agent\nclass RNDModel: pass\n"
@@ -202,7 +202,7 @@ def test_a_script_starts_where_our_pool_of_its_seed_does(light, tmp_path, capsys
     assert seen[0] != seen[1]
 
 
-def test_rlexplore_gets_our_frames_and_ends_of_two_kinds(monkeypatch):
+def test_rlexplore_adapter_step_returns_frames_and_two_kinds_of_end(monkeypatch):
     reward = ModuleType("rllte.xplore.reward")
     reward.RND = lambda **given: given
     for name in ("rllte", "rllte.xplore"):
@@ -248,9 +248,7 @@ def test_rlexplore_gets_our_frames_and_ends_of_two_kinds(monkeypatch):
         (["a.py"], "it has no Agent, RNDModel, SummaryWriter, envpool"),
     ],
 )
-def test_what_cannot_run_is_refused_in_a_line(
-    arguments, said, light, tmp_path, monkeypatch, capsys
-):
+def test_external_bad_input_is_one_line(arguments, said, light, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.py").write_text("")
     assert main([*arguments, "seed=0"]) == 2
@@ -260,7 +258,7 @@ def test_what_cannot_run_is_refused_in_a_line(
 ENVS = SimpleNamespace(single_action_space=SimpleNamespace(n=3))
 
 
-def test_cleanrls_networks_read_the_newest_frame():
+def test_cleanrl_networks_stack_reads_the_newest_frame():
     torch = pytest.importorskip("torch")
     torch.manual_seed(0)
     made = stand_ins.cleanrl_networks(2)
@@ -281,7 +279,7 @@ def test_cleanrls_networks_read_the_newest_frame():
     assert all(p.grad.abs().sum() > 0 for p in rnd.predictor.parameters())
 
 
-def test_rlexplores_policy_has_heads_on_its_torso():
+def test_rlexplore_networks_policy_has_heads_on_its_torso():
     torch = pytest.importorskip("torch")
     torch.manual_seed(0)
     agent = stand_ins.rlexplore_networks(2)["Agent"](ENVS)
