@@ -179,7 +179,7 @@ def longer(path):
 
 @pytest.mark.parametrize("count", [15, pytest.param(300, marks=pytest.mark.survival)])
 def test_run_resume_damaged_files_make_no_traceback(count, tmp_path, capfd, monkeypatch):
-    """Each is gone on from by the real command: finished, or refused in a line and untouched."""
+    """The real command resumes each: it finishes, or refuses in one line and changes nothing."""
     run, copy = tmp_path / "run", tmp_path / "copy"
     arguments = [*CAR, "algo=ppo", "total_steps=512", "checkpoint_every=2"]
     assert main([*arguments, f"run_dir={run}"]) == 0

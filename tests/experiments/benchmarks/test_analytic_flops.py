@@ -25,7 +25,7 @@ KINDS = {
 
 
 def counted(function, *arguments):
-    """Operations of a program, which runs on shapes alone."""
+    """Operations of a program, which runs on shapes only."""
     return count_flops(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 

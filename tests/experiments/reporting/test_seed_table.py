@@ -1,4 +1,4 @@
-"""docs/results/explores.md: its tables made again from raw figures, one seed trained anew."""
+"""docs/results/explores.md: its tables made again from raw figures, and one seed trained again."""
 
 import json
 import re

@@ -31,7 +31,7 @@ def fits(manifest):
 
 
 def restore(path, like, fits=fits):
-    """The newest that is whole: its iteration, state, manifest, and what is said of others."""
+    """The newest complete one: its iteration, state, manifest, and the messages about others."""
     checkpoints = Checkpoints(path)
     step, manifest, said = checkpoints.find(fits)
     if step is None:

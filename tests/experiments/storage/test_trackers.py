@@ -1,4 +1,4 @@
-"""What trackers are told, read back from their own stores."""
+"""What trackers are sent, read back from their own stores."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The view of a sweep: what changed is told, and nothing that does not concern it stops it."""
+"""The view of a sweep: it prints what changed, and unrelated files do not stop it."""
 
 import json
 import time
