@@ -7,16 +7,23 @@ again, and names the operation that the first such number comes out of.
 Where the run's bonus or task is code, say algo.module=... or env.id=... again.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
+from .config.help import tool_help
 from .config.tool_options import asks_for_help, exit_status
 from .system.process import run_script
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command: none of its own, but those of a run."""
 
 
 def main(arguments: list[str]) -> int:
     """Run the command, and return its exit status."""
     if asks_for_help(arguments) or not arguments:
-        print(str(__doc__).strip())
+        print(tool_help(str(__doc__), Options))
         return 0 if arguments else 2
 
     def replay() -> None:

@@ -5,28 +5,32 @@ starts; those that can run and are not finished are handed to Hydra's launcher, 
 its own.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from .config.tool_options import asks_for_help, exit_status
-from .system.errors import print_error
+from .config.tool_options import run_command
+from .system.errors import ConfigError
 from .system.process import run_script
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command: none."""
+
+
+def sweep(paths: list[Path], options: Options) -> None:
+    """Print the table of a sweep's jobs."""
+    if len(paths) != 2 or str(paths[0]) != "status":
+        raise ConfigError(f"'{' '.join(map(str, paths))}': write sndjax sweep status DIR")
+    from .sweeps.job_status import job_statuses
+    from .sweeps.live_table import status_table
+
+    print(status_table(job_statuses(paths[1])))
 
 
 def main(arguments: list[str]) -> int:
     """Run the command, and return its exit status."""
-    if asks_for_help(arguments) or not arguments:
-        print(str(__doc__).strip())
-        return 0 if arguments else 2
-    if len(arguments) != 2 or arguments[0] != "status":
-        return print_error(f"'{' '.join(arguments)}': write sndjax sweep status DIR")
-
-    def status() -> None:
-        from .sweeps.job_status import job_statuses
-        from .sweeps.live_table import status_table
-
-        print(status_table(job_statuses(Path(arguments[1]))))
-
-    return exit_status(status)
+    return run_command(__doc__, Options, sweep, arguments)
 
 
 if __name__ == "__main__":

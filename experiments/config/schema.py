@@ -1,5 +1,6 @@
 """The typed configuration: every option with its default, its range and its meaning."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +12,15 @@ OBJECTIVES = ("none", *module_names("objectives"))
 SIGNALS = module_names("signals")
 
 
-def option(default: Any, about: str, *, low=None, high=None, above=None, choices=None) -> Any:
+def option(
+    default: Any,
+    about: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+    choices: Sequence[str] | None = None,
+) -> Any:
     """Return a dataclass field with its meaning and its range.
 
     Args:

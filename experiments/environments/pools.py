@@ -87,12 +87,19 @@ class Pool:
         return x.reshape(*self.rows, *x.shape[1:])
 
     def step_of(
-        self, observation, reward, score, terminated, truncated, valid, room=None
+        self,
+        observation: Any,
+        reward: np.ndarray,
+        score: np.ndarray,
+        terminated: np.ndarray,
+        truncated: np.ndarray,
+        valid: np.ndarray,
+        room: np.ndarray | None = None,
     ) -> EnvStep:
         """Return the step, made from the results of all environments.
 
         Args:
-          observation: the observations, arrays [S * N, ...].
+          observation: the observations, arrays [S * N, ...], or a dict of them.
           reward: the task's reward, from which the training reward is made, [S * N].
           score: the reward of the game itself, [S * N].
           terminated: whether the task ended the episode, bool [S * N].
@@ -169,7 +176,8 @@ class EnvpoolPool(Pool):
     def receive(self) -> EnvStep:
         observation, reward, terminated, truncated, info = self.envs.recv()
         room = info["ram"][:, MONTEZUMA_ROOM] if self.rooms else None
-        score, valid = info.get("reward", reward), info["elapsed_step"] != 0
+        score = cast(np.ndarray, info.get("reward", reward))
+        valid = info["elapsed_step"] != 0
         return self.step_of(observation, reward, score, terminated, truncated, valid, room)
 
     def close(self) -> None:

@@ -1,6 +1,7 @@
 """Statistics over seeds, computed with SciPy, in the shapes that the reports need."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -9,7 +10,7 @@ RESAMPLES = 2000
 
 
 def bootstrap_interval(
-    values: np.ndarray, statistic=np.mean
+    values: np.ndarray, statistic: Callable[..., Any] = np.mean
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the 95% percentile bootstrap interval of a statistic over seeds.
 

@@ -153,7 +153,7 @@ def test_load_repeated_run_gets_a_separate_directory(run):
 
 @pytest.mark.parametrize(("what", "other"), [("objective", "byol"), ("signal", "noveld")])
 def test_load_resumed_named_algorithm_of_another_cell_is_refused(tmp_path, what, other):
-    """A name is one objective and one signal: no configuration records one algorithm and trains another."""
+    """No configuration records one algorithm and trains another."""
     made = load_config(["env=MountainCar", "algo=snd_vic"])
     own = getattr(made.algo, what)
     changed = text_of(made).replace(f"  {what}: {own}", f"  {what}: {other}")
