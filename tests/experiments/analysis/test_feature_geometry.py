@@ -22,7 +22,7 @@ def test_feature_rank_counts_independent_dimensions():
     assert feature_rank(np.concatenate([z, z[:, :2] @ np.ones((2, 3))], axis=1)) == 4
 
 
-def test_feature_rank_rounded_features_follows_their_precision():
+def test_feature_rank_features_rounded_to_float32_is_unchanged():
     draw = np.random.default_rng(4)
     z = (draw.normal(size=(300, 5)) @ draw.normal(size=(5, 64))).astype(np.float32)
     assert feature_rank(z) == 5
@@ -34,18 +34,18 @@ def test_pairwise_distances_equal_a_loop_over_pairs():
     np.testing.assert_allclose(pairwise_distances(x), wanted, atol=1e-12)
 
 
-def test_geometry_figures_equal_a_row_of_the_table():
+def test_geometry_figures_four_states_equal_values_by_hand():
     z = np.array([[0.0, 0.0], [3.0, 4.0], [0.0, 0.0], [0.0, 2.0]])
     found = geometry_figures(
         z, np.array([True, False, True])
-    )  # the second step crosses an episode's end
+    )  # the second step crosses the end of an episode
     assert (found["step_mean"], found["step_std"]) == (3.5, 1.5)
     assert found["norm_mean"] == pytest.approx(7 / 4)
     assert (found["rank"], found["d"]) == (2, 2)
     assert found["q50"] == pytest.approx(np.median(eigenvalues(z)))
 
 
-def test_eigenvalues_thousand_states_are_comparable():
+def test_geometry_figures_more_than_1000_states_uses_only_the_first_1000():
     z = np.random.default_rng(3).normal(size=(COMPARED + 500, 3))
     follows = np.ones(len(z) - 1, bool)
     all_of_them, first = (

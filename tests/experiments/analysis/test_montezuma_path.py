@@ -22,8 +22,8 @@ def test_load_committed_trajectory_is_long_and_visits_many_rooms(walk):
     assert list(dict.fromkeys(walk.room.tolist())) == stored["rooms"]
 
 
-def test_load_committed_trajectory_on_ale_py_visits_the_same_states(walk):
-    """ALE itself, stepped by hand, is in the same room at every step."""
+def test_load_committed_trajectory_on_ale_py_visits_the_same_rooms(walk):
+    """Compare the rooms with those of ALE, stepped directly without a pool."""
     emulator = go_explore.Emulator()
     rooms = [int(emulator.step(action)[MONTEZUMA_ROOM]) for action in walk.action.tolist()]
     np.testing.assert_array_equal(walk.room, rooms)
@@ -37,7 +37,7 @@ def test_load_committed_trajectory_wrong_actions_are_refused(tmp_path):
         trajectory.load_committed_trajectory(other)
 
 
-def test_Search_nodes_can_all_be_reached_again():
+def test_Search_actions_of_a_node_reach_its_emulator_state():
     search = go_explore.Search(0)
     for _ in range(12):
         search.explore(search.choose())

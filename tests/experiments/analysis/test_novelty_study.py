@@ -29,7 +29,7 @@ def test_gather_runs_minibatches_are_consecutive_pairs(walk):
                 assert rollout.action[k, t, n] == walk.action[m]
 
 
-def test_draw_windows_indices_are_where_they_say():
+def test_draw_windows_several_positions_lie_in_their_ranges():
     draw = np.random.default_rng(0)
     for n in (1, 40, 171):
         past, near, far, anywhere = draw_windows(n, 300, draw)
@@ -41,7 +41,7 @@ def test_draw_windows_indices_are_where_they_say():
 
 @pytest.mark.parametrize("algo", ALGOS)
 def test_study_module_future_states_change_nothing_learned(walk, algo):
-    """Another future, the same weights and input moments: the past is read the same."""
+    """Invert the future frames; the same weights and running statistics give the same past."""
     frames = walk.frames.copy()
     frames[129:] = 255 - frames[129:]
     other = walk._replace(frames=frames)
@@ -53,7 +53,7 @@ def test_study_module_future_states_change_nothing_learned(walk, algo):
     assert means[2, 0] != others[2, 0]
 
 
-def test_novelty_interrupted_resumes_with_the_next_module(tmp_path, monkeypatch, capsys):
+def test_novelty_second_call_reuses_stored_study(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arguments = ["algos=rnd", "states=300", "train_every=32", "read_every=32", "out=found"]
     assert novelty.main(arguments) == 0
@@ -63,7 +63,7 @@ def test_novelty_interrupted_resumes_with_the_next_module(tmp_path, monkeypatch,
     ratio = np.median(np.array(stored["far"]) / np.array(stored["past"]))
     for name in ("index.html", "novelty.csv", "novelty-rnd.png", "novelty-rnd.svg"):
         assert (tmp_path / "found" / name).stat().st_size
-    monkeypatch.setattr(novelty_report, "study_module", None)  # what is done is not done again
+    monkeypatch.setattr(novelty_report, "study_module", None)  # a stored study is reused
     assert novelty.main(arguments) == 0
     assert (tmp_path / "found" / "rnd.json").read_bytes() == first
     assert f"{ratio:.2f}" in capsys.readouterr().out
@@ -81,6 +81,6 @@ def test_novelty_interrupted_resumes_with_the_next_module(tmp_path, monkeypatch,
         ("train_every=2", "at least 4"),
     ],
 )
-def test_novelty_bad_input_is_one_line(given, said, capsys):
+def test_novelty_bad_input_is_refused_with_reason(given, said, capsys):
     assert novelty.main([given]) == 2
     assert said in capsys.readouterr().err

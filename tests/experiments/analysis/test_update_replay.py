@@ -1,4 +1,4 @@
-"""Numbers that go wrong in a real run, and the look at what they came from."""
+"""Test `on_nan` and `replay`: numbers in a run that are not finite, and where they come from."""
 
 import re
 
@@ -58,7 +58,7 @@ def test_replay_number_not_finite_names_the_operation(broken, tmp_path, capfd):
     assert replay([str(dump), broken]) == 0
     out = capfd.readouterr().out
     assert "after the update, seed 0: module_loss is nan" in out
-    assert "not finite:" not in out  # of what went in
+    assert "not finite:" not in out  # the inputs are finite
     assert re.search(r"comes out of: .*nan.* in log.*bonus.py, line 19", out)
     file = max(dump.rglob("*"), key=lambda p: p.stat().st_size)
     file.write_bytes(file.read_bytes()[:-1] + b"x")
@@ -75,7 +75,7 @@ def test_run_number_not_finite_can_be_skipped_or_ignored(mode, nulls, broken, tm
     assert [e["iteration"] for e in entries] == list(range(1, 9))
     assert sum(e["module_loss"] is None for e in entries) == nulls
     if mode == "skip":
-        # The count of iterations is among what is put back, so the third is met for ever.
+        # The counter of the module is restored too, so every later iteration is the third again.
         assert [e["skipped"] for e in entries] == [0, 0] + [1] * 6
         assert all(np.isfinite(x).all() for x in tree_of(path, load_config(command))[1])
 

@@ -8,7 +8,7 @@ from experiments.benchmarks import analytic_flops as nominal
 from experiments.training.flops import count_flops
 from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
-# Of the issue that asked for the benchmark: 10^9 operations a step, Atari.
+# From the issue that asked for the benchmark: 10^9 operations per step, Atari frames.
 PUBLISHED = {
     (None, "distillation"): 1.02,
     ("none", "distillation"): 1.19,
@@ -30,14 +30,14 @@ def counted(function, *arguments):
 
 
 @pytest.mark.parametrize(("objective", "signal"), PUBLISHED)
-def test_flops_per_step_thesis_cells_equal_the_count_by_hand(objective, signal):
+def test_flops_per_step_published_pairs_match_published_values(objective, signal):
     work = nominal.flops_per_step(objective, signal, sndjax.ATARI, (96, 96, 1), 4, 18)
     assert work / 1e9 == pytest.approx(PUBLISHED[objective, signal], abs=0.006)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_encoder_flops_any_encoder_equals_the_compiled_program(objective, kind):
+def test_encoder_flops_any_encoder_equals_the_traced_program(objective, kind):
     size, shape, dtype, _ = KINDS[kind]
     frame = jnp.zeros((1, *shape), dtype)
     for network in make_encoder_and_predictor(OBJECTIVES[objective], size, "elu", "asymmetric"):
@@ -47,7 +47,7 @@ def test_encoder_flops_any_encoder_equals_the_compiled_program(objective, kind):
 
 @pytest.mark.parametrize("heads", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
-def test_policy_flops_any_policy_equals_the_compiled_program(heads, kind):
+def test_policy_flops_any_policy_equals_the_traced_program(heads, kind):
     size, shape, dtype, stack = KINDS[kind]
     stacked = (*shape[:-1], shape[-1] * stack)
     network = sndjax.ActorCritic(size, 18, heads)
@@ -59,8 +59,8 @@ def test_policy_flops_any_policy_equals_the_compiled_program(heads, kind):
 @pytest.mark.parametrize(
     "objective", ["st_dim", "vicreg", "barlow_twins", "inverse_dynamics", "vicreg_inverse"]
 )
-def test_objective_flops_any_objective_equals_the_compiled_program(objective):
-    """Its forward pass on the features of a minibatch."""
+def test_objective_flops_five_objectives_equal_the_traced_program(objective):
+    """Count the forward pass of the loss on the features of a minibatch."""
     rows, of = 24, jax.ShapeDtypeStruct
     z, local = of((rows, 512), jnp.float32), of((rows, 12, 12, 64), jnp.float32)
     features = sndjax.Features(z, z, local, local)

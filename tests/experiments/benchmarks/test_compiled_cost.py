@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 LEDGER = json.loads((Path(__file__).parent / "compiled_cost.json").read_text())
-ALWAYS = ("ppo", "snd_std")  # compiling is what it costs
+ALWAYS = ("ppo", "snd_std")  # compiling the others takes too long
 
 
 @pytest.mark.skipif(LEDGER["jaxlib"] != version("jaxlib"), reason="kept for another jaxlib")
@@ -19,7 +19,11 @@ ALWAYS = ("ppo", "snd_std")  # compiling is what it costs
     ],
 )
 def test_compiled_cost_of_an_update_equals_the_committed_figures(name):
-    """`sndjax compiled_cost > tests/experiments/benchmarks/compiled_cost.json` after a change."""
+    """Compare the compiled cost of an update with the stored one.
+
+    After a change write the stored compiled cost with
+    `sndjax compiled_cost > tests/experiments/benchmarks/compiled_cost.json`.
+    """
     command = [sys.executable, "-m", "experiments.compiled_cost", name]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout)["algorithms"][name]

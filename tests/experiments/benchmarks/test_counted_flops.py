@@ -9,10 +9,10 @@ from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
 
 def shared(objective, signal):
-    """What sharing saves, in encodings per row.
+    """Return how many encodings per row are saved by sharing.
 
-    In a minibatch of 512 the encoder learns from 512 + 128 frames, not from 1,024; and predictions
-    encode every frame of a rollout once for both states of a row.
+    In a minibatch of 512 rows the encoder encodes 512 + 128 frames, not 1,024. The prediction
+    signal encodes every frame of a rollout once, for both states of a row.
     """
     return (signal == "prediction") + (
         3 * (1 - ENVS / 512) if objective not in (None, "none", "contrastive") else 0

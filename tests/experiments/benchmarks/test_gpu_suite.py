@@ -1,4 +1,4 @@
-"""`make gpu-evidence`, on what there is: a CPU and a task of seconds."""
+"""Test `gpu_suite` on a CPU, with tasks of seconds."""
 
 import json
 import sys
@@ -7,7 +7,7 @@ from experiments.benchmarks import gpu_suite as evidence
 from experiments.gpu_suite import main
 
 
-def test_gpu_suite_without_gpu_runs_nothing_and_is_one_line(tmp_path, capsys, monkeypatch):
+def test_gpu_suite_without_gpu_runs_nothing_and_prints_reason(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(evidence, "jax_backend", lambda: "cpu")
     assert main(["--out", str(tmp_path / "out")]) == 2
     assert "jax sees no GPU here: not run" in capsys.readouterr().err
@@ -24,7 +24,7 @@ def test_gpu_suite_runs_stop_at_their_share_and_resume_when_called_again(tmp_pat
         return json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])["step"]
 
     whole = 1_003_520
-    for minutes in ("0.4", "0.25", "0.15"):  # on a fast machine the run is over before its share
+    for minutes in ("0.4", "0.25", "0.15"):  # a fast machine may complete the run
         first = steps_after(tmp_path / minutes, minutes)
         if first < whole:
             break

@@ -17,14 +17,14 @@ MODULE = "algo.minibatch_size=32"
 
 @pytest.fixture
 def quick(monkeypatch):
-    """A smaller matrix product: nothing here looks at the rate itself."""
+    """Use a small matrix product; no test here depends on its rate."""
     monkeypatch.setattr(timing, "MATMUL_SIZE", 256)
 
 
 @pytest.mark.parametrize(
     "command", [["algo=ppo"], ["algo=snd_vic", MODULE, "num_seeds=2", "--whole"]]
 )
-def test_bench_last_line_is_json_and_agrees_with_the_table(command, quick, capfd):
+def test_bench_last_line_is_json_with_consistent_figures(command, quick, capfd):
     assert main(["env=MountainCar", *SMALL, *command]) == 0
     lines = capfd.readouterr().out.splitlines()
     found = json.loads(lines[-1])
@@ -55,7 +55,7 @@ def test_bench_without_analytic_flops_prints_none(quick, capfd):
 
 def test_timed_steps_are_whole_minibatches():
     config = load_config(["env=Venture", "algo=snd_std"])
-    assert timed_steps(config) == 12  # three of 512, of 128 x 128
+    assert timed_steps(config) == 12  # with 128 environments: three minibatches of 512
     odd = load_config(["env=MountainCar", "algo=ppo", "num_envs=8", "ppo.minibatch_size=1024"])
     assert timed_steps(odd) * 8 % 1024 == 0
 

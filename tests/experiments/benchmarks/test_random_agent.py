@@ -1,4 +1,4 @@
-"""sndjax random_agent: an agent of chance, on tasks whose answer is known."""
+"""Test `random_agent` on tasks with known results."""
 
 import re
 
@@ -11,7 +11,7 @@ from experiments.random_agent import main
 POLE = ["env=envpool", "env.id=CartPole-v1", "num_envs=16", "total_steps=20_000"]
 
 
-def test_random_agent_kept_actions_last_as_long_as_asked():
+def test_repeat_actions_new_draw_in_one_of_five_keeps_expected_share():
     rng, actions = np.random.default_rng(0), 4
     action = rng.integers(0, actions, 2000)
     same = []
@@ -19,7 +19,7 @@ def test_random_agent_kept_actions_last_as_long_as_asked():
         after = repeat_actions(rng, action, actions, 1 / 5)
         same.append(after == action)
         action = after
-    # kept, or drawn again: 1 - 1/5 + 1/5 * 1/4, with 200,000 samples to 0.0008
+    # Kept or drawn again: 1 - 1/5 + 1/5 * 1/4; the standard error of 200,000 samples is 0.0008.
     assert abs(np.mean(same) - 0.85) < 0.004
     counts = np.bincount(action, minlength=actions)
     assert abs(counts - 500).max() < 100
@@ -37,12 +37,12 @@ def test_random_agent_cartpole_every_step_is_rewarded_for_22_steps(capsys):
     rewarded, of, length, said = figures(capsys)
     assert rewarded == of
     assert abs(of * length - 20_000) < 2_000
-    assert 20 <= length <= 24  # published of a random policy: about 22
+    assert 20 <= length <= 24  # published for a random policy: about 22
     assert "the first by step 16;" in said
     assert main([*POLE, "keep=20"]) == 0
-    assert figures(capsys)[2] < 18  # the same action all along: it falls after 8 to 10
+    assert figures(capsys)[2] < 18  # one constant action: it falls after 8 to 10 steps
     assert main([*POLE, "keep=20", "env.random_action=1"]) == 0
-    assert 20 <= figures(capsys)[2] <= 24  # what the environment replaces is not kept
+    assert 20 <= figures(capsys)[2] <= 24  # random actions of the environment are not repeated
 
 
 def test_random_agent_mountain_car_is_never_rewarded(capsys):
@@ -68,6 +68,6 @@ def test_random_agent_bad_input_is_one_line(more, said, capsys):
     assert said in line
 
 
-def test_random_agent_output_names_its_settings(capsys):
+def test_random_agent_help_or_no_argument_prints_example(capsys):
     assert (main(["--help"]), main([])) == (0, 2)
     assert capsys.readouterr().out.count("sndjax random_agent env=CoinrunEasy") == 2

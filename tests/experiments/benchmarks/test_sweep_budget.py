@@ -1,4 +1,4 @@
-"""A budget, recomputed by hand."""
+"""Test the budget of a sweep against values computed by hand."""
 
 import json
 
@@ -25,7 +25,7 @@ def test_budget_tables_hours_and_disk_follow_from_the_measured_rates(tmp_path, m
     monkeypatch.setattr(budget, "sweep_costs", lambda sweep: kinds)
     monkeypatch.setattr(budget, "work_and_state", lambda algo, family: (1.0, 200.0))
     text = budget_tables("thesis", 16, 494.0)
-    # 3.6M steps at 50 a second: 20 hours. 16 cores at 2,000 a second each: 32,000, 0.03 hours.
+    # 3.6M steps at 50 steps/s: 20 hours. 16 cores at 2,000 steps/s each: 32,000, 0.03 hours.
     row = next(line for line in text.splitlines() if line.startswith("| `rnd`"))
     shown = [cell.strip() for cell in row.strip("|").split("|")]
     disk = 3 * 200 + 3 * 1100 * 1000 / 1e6
@@ -40,18 +40,18 @@ def test_budget_tables_hours_and_disk_follow_from_the_measured_rates(tmp_path, m
     (tmp_path / "bench-gpu.json").write_text(json.dumps(gpu))
     text = budget_tables("thesis", 16, 494.0)
     row = next(line for line in text.splitlines() if line.startswith("| `rnd`"))
-    assert row.endswith("| 20 | 2.0 |")  # one that nobody measured is as slow as the slowest
+    assert row.endswith("| 20 | 2.0 |")  # without a measurement: as slow as the slowest
     assert "TFLOP/s" not in text
 
 
-def test_budget_tables_thesis_sweep_is_720_runs():
+def test_expand_product_thesis_sweep_is_720_runs():
     params = compose_hydra(["sweep=thesis"]).sweeper.params
     runs = [tuple(one) for one in cells.expand_product([f"{k}={v}" for k, v in params.items()])]
     assert len(set(runs)) == 720
     assert sum("algo=snd_std" in run and "env=Venture" in run for run in runs) == 9
 
 
-def test_budget_tables_kinds_count_their_seeds(monkeypatch):
+def test_sweep_costs_nine_seeds_are_counted_per_family(monkeypatch):
     monkeypatch.setattr(budget, "work_and_state", lambda algo, family: (1.0, 100.0))
     params = ["env=Venture,Climber", "algo=ppo", "seed=range(9)"]
     monkeypatch.setattr(cells, "expand_product", lambda _: PRODUCT(params))

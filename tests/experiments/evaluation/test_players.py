@@ -1,4 +1,4 @@
-"""Trained agents read back: evaluated, filmed and analysed."""
+"""Test `evaluate`, `record` and `analyze` on trained agents loaded from checkpoints."""
 
 import json
 import os
@@ -64,7 +64,7 @@ def test_play_episodes_greedy_repeated_gives_the_same_episodes(car):
     assert all(episode.score.sum() == -200 for episode in first)
 
 
-def test_load_players_greedy_known_logits_is_the_likeliest(car):
+def test_play_episodes_greedy_takes_action_with_largest_logit(car):
     player = load_players(car)[0]
     (episode,) = play_episodes(player, 1, greedy=True)
     logits, value = player.agent.network.apply(
@@ -91,7 +91,7 @@ def test_episode_novelty_equals_the_reward_of_the_module(car):
     np.testing.assert_allclose(episode_novelty(player, episode), wanted[:, 0], rtol=1e-4)
 
 
-def test_render_episode_same_seed_draws_the_same_episode(car):
+def test_render_episode_draws_every_frame_and_refuses_changed_frames(car):
     player = load_players(car)[0]
     episode = play_episodes(player, 2, seed=3)[1]
     drawn = list(render_episode(player, episode))
@@ -126,7 +126,7 @@ def test_record_finished_run_writes_video_and_contact_sheet(pixels, tmp_path):
         frames.append(frame)
     assert len(frames) == 30
     assert frames[0].shape[0] == video.HEIGHT
-    # Red is where the mark is: it goes to the right.
+    # The red mark of the current step moves to the right.
     redness = [f[:, -video.SIDE :].astype(int) @ [0, -1, 1] for f in (frames[2], frames[-2])]
     left, right = (red.sum(0).argmax() for red in redness)
     assert left < right - 100
@@ -183,7 +183,7 @@ def test_play_episodes_other_environment_seeds_give_other_episodes(pixels):
     assert first.action[:50].tolist() != second.action[:50].tolist()
 
 
-def test_evaluate_module_named_by_a_stored_file_is_not_executed(car, tmp_path):
+def test_load_players_module_named_by_a_stored_file_is_refused(car, tmp_path):
     bonus = tmp_path / "bonus.py"
     bonus.write_text("open('ran', 'w')\n")
     run = tmp_path / "run"
@@ -194,7 +194,7 @@ def test_evaluate_module_named_by_a_stored_file_is_not_executed(car, tmp_path):
         load_players(run)
 
 
-def test_evaluate_damaged_checkpoint_is_named_and_the_previous_used(car, tmp_path, capsys):
+def test_load_players_damaged_checkpoint_is_named_and_the_previous_used(car, tmp_path, capsys):
     run = tmp_path / "run"
     shutil.copytree(car, run)
     newest = max((run / "checkpoints").iterdir(), key=lambda path: int(path.name))
@@ -204,7 +204,9 @@ def test_evaluate_damaged_checkpoint_is_named_and_the_previous_used(car, tmp_pat
 
 
 @pytest.mark.parametrize("command", [analyze, evaluate, record])
-def test_evaluate_bad_input_is_one_line(command, car, pixels, tmp_path, capsys):
+def test_analyze_evaluate_record_bad_input_exits_with_status_2(
+    command, car, pixels, tmp_path, capsys
+):
     assert command.main([str(tmp_path)]) == 2
     assert "there is no run" in capsys.readouterr().err
     assert command.main([str(car), "nothing=1"]) == 2

@@ -18,7 +18,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 @pytest.fixture
 def runs(tmp_path):
-    """RND with two seeds and PPO with one on MountainCar; SND-VIC on Venture."""
+    """Write runs of RND (two seeds) and PPO (one) on MountainCar, and of SND-VIC on Venture."""
     place = tmp_path / "runs"
     made(
         place / "rnd",
@@ -41,7 +41,7 @@ def rows_of(table):
 def test_thesis_tables_made_up_runs_match_hand_computed_tables(runs):
     groups = group_runs(find_runs([runs])[0])
     mine = rows_of(thesis_table("5.6", groups))
-    # Seeds' means over all episodes are 2 and 1; the deviation is over the population.
+    # The mean returns of the two seeds are 2 and 1; ± is the population standard deviation.
     assert mine["Venture", "SND-VIC"][:3] == ["1.50 ± 0.50", "2", "0.000256"]
     assert mine["Venture", "SND-VIC"][3] == "11.36 ± 0.37"
     assert mine["Venture", "RND"][:3] == ["", "", ""]
@@ -51,10 +51,10 @@ def test_thesis_tables_made_up_runs_match_hand_computed_tables(runs):
     assert over["MountainCar", "RND"][:2] == ["2", "0.75"]
     chances = improvement_table(groups)
     assert chances.head == ["", "ppo", "rnd", "snd_vic"]
-    assert chances.rows[1] == ["rnd", "1.00", "", ""]  # they share no environment with the third
+    assert chances.rows[1] == ["rnd", "1.00", "", ""]  # no environment in common with snd_vic
 
 
-def test_thesis_numbers_committed_file_matches_the_thesis(runs):
+def test_thesis_table_without_runs_shows_the_published_numbers(runs):
     with open("experiments/data/thesis.csv", newline="") as file:
         known = [row for row in csv.DictReader(file) if row["table"] == "5.8"]
     table = thesis_table("5.8", [])
@@ -71,7 +71,7 @@ def test_report_of_runs_writes_page_pictures_and_tables(runs, tmp_path, capsys):
     assert main([str(runs), "--out", str(out)]) == 0
     page, said = (out / "index.html").read_text(), capsys.readouterr().out
     assert page.count("<img") == 6  # returns, scores and novelty of two environments
-    assert not re.search(r'(src|href)="(?!data:|#)', page)  # nothing is fetched
+    assert not re.search(r'(src|href)="(?!data:|#)', page)  # the page loads no other file
     for text in ("MountainCar", "Table 5.6", "Left out", "/half"):
         assert text in page
     assert "left out: " in said
@@ -82,7 +82,7 @@ def test_report_of_runs_writes_page_pictures_and_tables(runs, tmp_path, capsys):
     assert [r["ours"] for r in rows if r["ours"]] == ["1.50 ± 0.50"]
 
 
-def test_report_directory_without_runs_is_one_line(tmp_path, capsys):
+def test_report_directory_without_runs_exits_with_status_2(tmp_path, capsys):
     assert main([str(tmp_path), f"out={tmp_path / 'out'}"]) == 2
     assert "nothing to report" in capsys.readouterr().err
     assert main(["out=x"]) == 2
@@ -94,7 +94,7 @@ def test_report_page_is_shown_by_a_browser(runs, tmp_path, size):
     out = tmp_path / "out"
     assert main([str(runs), f"out={out}"]) == 0
     page = out / "index.html"
-    # What the page knows of itself, written into it for --dump-dom.
+    # This script writes counts of pictures and the overflow into the page, for --dump-dom.
     probe = """<script>addEventListener('load', () => { const i = [...document.images];
       document.body.innerHTML = JSON.stringify({pictures: i.length,
         loaded: i.filter(x => x.complete && x.naturalWidth > 0).length,
@@ -129,7 +129,7 @@ def test_draw_curves_several_seeds_is_their_mean(runs, tmp_path):
     )
     with (tmp_path / "curve.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    # Both have begun at 100; the second ended there, at 1, where the first stood at 0.
+    # Step 100 is the only common step: the second seed ends there with 1, the first still has 0.
     assert {(row["step"], row["mean"]) for row in rows} == {("100.0", "0.5")}
 
 
@@ -145,17 +145,17 @@ def test_draw_curves_return_always_zero_is_drawn(tmp_path):
     assert {row["mean"] for row in csv.DictReader((tmp_path / "curve.csv").open())} == {"0.0"}
     assert (
         draw_curves(groups, "intrinsic", "title", tmp_path, "none") is None
-    )  # the baseline has none
+    )  # PPO has no intrinsic reward
 
 
-def test_find_runs_repeated_seed_is_counted_once_at_its_longest(runs):
+def test_longest_run_per_seed_repeated_seed_is_counted_once(runs):
     made(runs / "again", ["env=Venture", "algo=snd_vic"], {0: [(9, 9.0, 9.0)]}, {0: [0.5]})
     made(runs / "without", ["env=Venture", "algo=snd_vic", "seed=7"], {7: []}, {7: [0.5]})
     mine = rows_of(thesis_table("5.6", group_runs(find_runs([runs])[0])))
     assert mine["Venture", "SND-VIC"][:3] == ["1.50 ± 0.50", "2", "0.000128 to 0.000256"]
 
 
-def test_report_names_with_slashes_become_file_names(runs, tmp_path):
+def test_report_environment_name_with_slashes_stays_inside_out(runs, tmp_path):
     path = made(runs / "odd", ["env=gymnasium", "env.id=CartPole-v1", "algo=rnd"], {0: [(9, 1, 1)]})
     text = (path / "config.yaml").read_text()
     (path / "config.yaml").write_text(text.replace("name: gymnasium", "name: ../../$x{"))

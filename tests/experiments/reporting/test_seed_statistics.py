@@ -18,7 +18,7 @@ def test_bootstrap_interval_many_samples_covers_the_mean_at_its_rate():
     for _ in range(200):
         low, high = bootstrap_interval(draw.normal(size=30))
         covered += low < 0 < high
-    # The percentile bootstrap of 30 is a little short; 0.90 to 0.98 is four binomial deviations.
+    # With 30 samples the percentile bootstrap covers slightly less than 95%: 0.90 to 0.98 passes.
     assert 180 <= covered <= 196
 
 
@@ -53,7 +53,7 @@ def test_mean_improvement_several_tasks_is_mean_with_interval():
     far = np.array([5.0, 6.0]), np.array([1.0, 2.0, 3.0])
     value, (low, high) = mean_improvement([near, far])
     assert value == pytest.approx((probability_of_improvement(*near) + 1) / 2)
-    # Half of it is certain; the other half's deviation is that of Mann and Whitney's statistic.
+    # Only the first task has variance: that of the Mann-Whitney statistic; the mean halves it.
     spread = np.sqrt((40 + 30 + 1) / (12 * 40 * 30)) / 2
     assert high - low == pytest.approx(2 * 1.96 * spread, rel=0.25)
     assert mean_improvement([(np.ones(1), np.zeros(3))]) == (1.0, None)

@@ -19,7 +19,7 @@ RESULTS = ROOT / "docs" / "results"
 RAW = sorted((RESULTS / "explores").glob("*.json"))
 
 
-# What counts as reaching it, where that is not a share of 0.9.
+# The mean return that counts as reaching the goal, where it is not 0.9.
 GOALS = {"cartpole": 475.0, "coinrun": 5.0, "coinrun_level_0": 5.0, "ablations": 5.0}
 
 
@@ -53,7 +53,7 @@ def test_seed_table_minigrid_overview_has_the_same_figures():
     files = {"DoorKey-8x8": "doorkey", "MultiRoom-N4-S5": "multiroom_n4"}
     files |= {"MultiRoom-N6": "multiroom", "KeyCorridorS3R3": "keycorridor"}
     levels = [files.pop(level.partition(",")[0]) for level in parts(head)[1:]]
-    assert not files  # each level has its column
+    assert not files  # every level has a column
     for column, level in enumerate(levels, start=1):
         raw = json.loads((RESULTS / "explores" / f"{level}.json").read_text())
         expected = {}
@@ -66,7 +66,7 @@ def test_seed_table_minigrid_overview_has_the_same_figures():
 
 
 def summed(path, arguments, returns, steps=1_003_520):
-    """A run directory with a summary, the return of each seed's last episodes given."""
+    """Write a run directory with a summary; `returns` maps seeds to their last-100 return."""
     made(
         path,
         arguments,
@@ -122,7 +122,7 @@ def test_seed_table_unfinished_run_of_a_sweep_is_named(sweep, tmp_path, capsys):
     (line,) = printed.err.splitlines()
     assert line.startswith("not finished: ")
     assert line.endswith("MountainCar/icm/0")
-    assert main([str(tmp_path / "made.json")]) == 0  # and again from what it wrote
+    assert main([str(tmp_path / "made.json")]) == 0  # the written file gives the same table
     assert capsys.readouterr().out == printed.out
 
 
@@ -144,7 +144,7 @@ def test_seed_table_picture_has_a_dot_for_every_seed(sweep, tmp_path, monkeypatc
     assert cv2.imread(str(tmp_path / "picture.png")).std() > 0
 
 
-@pytest.mark.filterwarnings("error::UserWarning")  # of axes that have no room left
+@pytest.mark.filterwarnings("error::UserWarning")  # matplotlib warns if axes have no space
 def test_seed_table_picture_long_name_leaves_room_for_the_axes(tmp_path, monkeypatch):
     figures = []
     save = seed_table.save_figure
@@ -159,7 +159,7 @@ def test_seed_table_picture_long_name_leaves_room_for_the_axes(tmp_path, monkeyp
     assert axes.get_position().width > 0.3
 
 
-def test_seed_table_two_runs_of_one_name_stay_separate(sweep, capsys):
+def test_seed_table_two_runs_of_one_name_are_refused(sweep, capsys):
     other = sweep / "again" / "0"
     summed(other, ["env=MountainCar", "algo=ppo", "ppo.clip=0.2"], {0: 0.5})
     assert main([str(sweep)]) == 2
@@ -169,7 +169,7 @@ def test_seed_table_two_runs_of_one_name_stay_separate(sweep, capsys):
     assert "is a second run called" in capsys.readouterr().err
 
 
-def test_seed_table_directory_without_runs_is_one_line(tmp_path, capsys):
+def test_seed_table_directory_without_finished_run_is_refused(tmp_path, capsys):
     assert main([str(tmp_path)]) == 2
     assert "no finished run in" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""What a job's run is given of the machine."""
+"""Test `job_runner`: the GPUs of a job, and the reason why it failed."""
 
 import pytest
 
@@ -22,13 +22,13 @@ def test_JobRunner_three_jobs_on_two_gpus_share_one(tmp_path, monkeypatch):
         names = [device["CUDA_VISIBLE_DEVICES"] for device in (first, second, third)]
     assert names[:2] == ["6", "7"]
     assert names[2] in ("6", "7")
-    for device in (first, second, third):  # or the first would leave the third a quarter of one
+    for device in (first, second, third):  # else too little memory for the third
         assert device["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
     with JobRunner(str(tmp_path), str(tmp_path), 0, (), 1, ()).device() as none:
         assert none == {}
 
 
-def test_JobRunner_failed_run_gives_its_last_line_as_reason():
+def test_failure_reason_prefers_signal_then_line_of_sndjax_then_last_line():
     assert failure_reason(["step 1", "sndjax: entropy is nan", "and more"], 1) == "entropy is nan"
     assert failure_reason(["Traceback", "KeyError: 3"], 1) == "KeyError: 3"
     assert failure_reason([], 7) == "exit status 7"

@@ -1,4 +1,4 @@
-"""The jobs of a sweep: expanded, named, and read back from what their runs have left."""
+"""Test the jobs of a sweep: their expansion, their names, and their states read from files."""
 
 import itertools
 import json
@@ -58,13 +58,13 @@ def test_expand_jobs_bad_input_is_refused(arguments, words):
         jobs.expand_jobs(arguments)
 
 
-def test_expand_jobs_values_with_slashes_stay_inside_the_directory():
+def test_job_name_values_with_slashes_stay_inside_the_directory():
     name = jobs.job_name(["env=..", "algo=examples/my_bonus.py:f", "group=../a"], ["group"])
     assert name == "unnamed/f/0,group=..%2Fa"
 
 
 def left(directory, job, steps, returns, **last):
-    """A job whose run has left a summary."""
+    """Write a job and the summary of its run."""
     run = directory / job.name
     run.mkdir(parents=True)
     seeds = [{"steps": steps, "last100_ext_return": value} for value in returns]
@@ -100,7 +100,7 @@ def test_job_statuses_are_read_from_the_files_of_the_jobs(tmp_path):
         "bad": ("failed", 0, None, "no such thing"),
     }
     shown = status_table(job_status.job_statuses(tmp_path)).splitlines()
-    assert shown[-1] == "7 jobs: 1 done, 3 stopped, 2 failed, 1 waiting"  # nobody holds it now
+    assert shown[-1] == "7 jobs: 1 done, 3 stopped, 2 failed, 1 waiting"  # the lock is released
 
 
 def test_job_statuses_directory_without_a_sweep_is_refused(tmp_path):

@@ -8,9 +8,7 @@ from experiments.sweeps import live_table as overview
 from experiments.sweeps.live_table import LiveTable
 
 
-def test_LiveTable_changes_are_printed_with_reason_and_remaining_time(
-    tmp_path, monkeypatch, capsys
-):
+def test_LiveTable_changes_are_printed_with_reason_and_progress(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(overview, "LOOK_SECONDS", 0.05)
     monkeypatch.setattr(overview, "QUIET_SECONDS", 0.1)
     one, two = (jobs.Job(f"Venture/rnd/{seed}", [], 100, None) for seed in (0, 1))

@@ -1,4 +1,4 @@
-"""Sweeps as a user starts them: killed half-way by launcher and by hand, done by a second one."""
+"""Test `multirun` as a user runs it: killed, interrupted, and completed by the same command."""
 
 import importlib.util
 import json
@@ -26,7 +26,7 @@ def needs(package):
 
 
 def start(directory, *arguments):
-    """A sweep in a process of its own."""
+    """Start a sweep in its own process."""
     command = [sys.executable, "-m", "experiments.run", "-m", *arguments]
     return subprocess.Popen(
         [*command, f"hydra.sweep.dir={directory}"],
@@ -40,7 +40,7 @@ def start(directory, *arguments):
 
 
 def sweep(directory, *arguments, status=0):
-    """What a sweep says."""
+    """Run a sweep; return its output."""
     process = start(directory, *arguments)
     out, err = process.communicate(timeout=600)
     assert "Traceback" not in out + err
@@ -49,12 +49,12 @@ def sweep(directory, *arguments, status=0):
 
 
 def parent(pid):
-    """The parent of a process."""
+    """Return the parent of a process."""
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
 def waits(condition, seconds=120):
-    """Wait until something holds; what it then is."""
+    """Wait until a condition is true; return its value."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if found := condition():
@@ -64,14 +64,14 @@ def waits(condition, seconds=120):
 
 
 def survey(directory):
-    """How far its jobs are, once it has any."""
+    """Return the states of the jobs; an empty list before the sweep has any."""
     with suppress(ConfigError):
         return job_status.job_statuses(directory)
     return []
 
 
 def running(directory):
-    """The processes of the jobs that run."""
+    """Return the process id and the job of every running job."""
     known = jobs.read_jobs(directory)
     return [
         (last["pid"], job)
@@ -87,12 +87,12 @@ def test_multirun_worker_killed_is_completed_by_running_again(launcher, tmp_path
     with start(directory, *command) as process:
         waits(lambda: any(s.state == "done" for s in survey(directory)))
         pid, victim = waits(lambda: running(directory))[0]
-        os.kill(parent(pid), signal.SIGKILL)  # the worker that waits for it
+        os.kill(parent(pid), signal.SIGKILL)  # the worker of this job
         if launcher == "joblib":
             _, err = process.communicate(timeout=300)
             assert "the launcher gave up" in err
             assert process.returncode == 1
-        else:  # it begins a task again whose worker died, so all of it is killed
+        else:  # Ray restarts a task whose worker died, so the whole sweep is killed
             waits(lambda: job_status.is_locked(directory, victim.name))
             process.kill()
             process.communicate(timeout=60)
@@ -131,7 +131,7 @@ def test_multirun_bad_job_is_named_before_the_others_start(launcher, tmp_path):
     shown = subprocess.run(status, capture_output=True, text=True, cwd=ROOT, check=True).stdout
     assert "does not divide the rollout" in shown
     assert "2 jobs: 1 done, 1 failed" in shown
-    # Without it the sweep is whole.
+    # Without the bad job the sweep is complete.
     assert "1 done already" in sweep(
         directory, *command, "ppo.minibatch_size=choice(64)", "group=own"
     )
@@ -159,7 +159,7 @@ def test_multirun_job_finished_by_hand_counts_as_done(tmp_path):
     before = summary.stat().st_mtime_ns
     out = sweep(directory, *mine, "seed=choice(3)")
     assert "1 done already" in out
-    assert summary.stat().st_mtime_ns == before  # it was not run again
+    assert summary.stat().st_mtime_ns == before  # not run again
     (standing,) = job_status.job_statuses(directory)
     assert standing.state == job_status.DONE
 
@@ -169,7 +169,7 @@ def test_multirun_interrupted_leaves_checkpoints_and_prints_how_to_resume(tmp_pa
     more = ["hydra.launcher.n_jobs=2", *SMALL]
     with start(directory, "env=MountainCar", "algo=ppo", "seed=0,1,2", *more) as process:
         waits(lambda: len([s for s in survey(directory) if s.step]) == 2)
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C in a terminal does
         out, err = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "interrupted; to resume, give the same command" in out
@@ -177,7 +177,7 @@ def test_multirun_interrupted_leaves_checkpoints_and_prints_how_to_resume(tmp_pa
     states = sorted(s.state for s in survey(directory))
     assert states == ["stopped", "stopped", "waiting"]
     for s in survey(directory):
-        if s.state == "stopped":  # to the last step that was logged
+        if s.state == "stopped":  # its checkpoint is of the last logged step
             steps = [int(path.name) for path in (directory / s.job.name).glob("checkpoints/[0-9]*")]
             assert max(steps) * 128 == s.step
 
@@ -209,7 +209,7 @@ def test_multirun_without_asserts_is_refused_with_the_remedy(tmp_path):
 
 
 @needs("optuna")
-def test_multirun_search_maximises_the_metric_of_its_jobs(tmp_path):
+def test_multirun_search_with_optuna_reports_every_trial(tmp_path):
     directory = tmp_path / "sweep"
     out = sweep(
         directory,

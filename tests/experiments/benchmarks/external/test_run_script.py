@@ -1,6 +1,6 @@
-"""Other people's script on our task: adapted, its data ours, its returns counted.
+"""Test `external`: scripts of other projects, adapted to our environments, with their returns.
 
-What needs torch runs where it is installed, as docs/results/explores.md has it for the comparison.
+Tests that need torch run only where it is installed (docs/results/explores.md: how to install it).
 """
 
 import ast
@@ -22,8 +22,8 @@ from experiments.seed_table import main as explores
 from experiments.system.display import ProgressBars
 from experiments.system.errors import ConfigError
 
-# Not anybody's: it asks for what CleanRL's script asks for, and swings the car with its velocity,
-# which reaches the goal in every episode.
+# A script that uses the same names as CleanRL's script. It pushes the car in the direction of its
+# velocity, which reaches the goal in every episode.
 SWINGS = """
 import sys
 import envpool
@@ -89,7 +89,7 @@ def test_FrameShapeRewriter_two_sides_of_a_frame_become_one_vector(said, meant):
     assert run(f"x = {said}", {}, width=7)["x"] == meant
 
 
-def test_adapt_script_rest_of_the_script_is_unchanged():
+def test_FrameShapeRewriter_script_without_frame_sides_is_unchanged():
     code = "for k in range(3):\n    a = k + 84\nb = [x for x in 'abc' if x]"
     assert ast.dump(FrameShapeRewriter(2).visit(ast.parse(code))) == ast.dump(ast.parse(code))
 
@@ -110,13 +110,13 @@ def test_EpisodeCountingEnv_episodes_equal_those_of_a_plain_loop():
         np.testing.assert_array_equal(step.frame, expected.frame[0])
         np.testing.assert_array_equal(step.reward, expected.reward[0])
         ended += [rows] * int(expected.done.sum())
-    assert len(ended) == 8  # 200 steps at most, and a step for each reset
+    assert len(ended) == 8  # at most 200 steps per episode, and one step per reset
     assert [rows for rows, _ in counted.ended] == ended
     assert counted.rows == 1800
 
 
 class Scripted:
-    """A pool of two environments that ends episodes by a list."""
+    """A pool of two environments with given rewards and ends of episodes."""
 
     rows = (1, 2)
 
@@ -161,7 +161,7 @@ def test_EpisodeCountingEnv_summary_leaves_the_warm_up_out():
 
 @pytest.fixture
 def light(monkeypatch):
-    """Without torch and old gym."""
+    """Replace torch and the old gym by small substitutes."""
     spaces = SimpleNamespace(Discrete=int, Box=lambda *bounds: bounds)
     monkeypatch.setitem(sys.modules, "gym", SimpleNamespace(spaces=spaces))
     names = {"Agent": None, "RNDModel": None}
@@ -181,7 +181,7 @@ def test_external_small_script_becomes_a_row_of_the_table(light, tmp_path, capsy
     assert name == "MountainCar/CleanRL's RND/4,gamma=0.9,steps=16384"
     assert figures["steps"] == 16_384
     assert figures["warm_up_steps"] == 0
-    assert figures["episodes"] > 100  # of about 115 steps, from wherever the car begins
+    assert figures["episodes"] > 100  # of about 115 steps each, depending on the start
     assert figures["mean_ext_return"] == figures["last100_ext_return"] == 1.0
     assert explores([str(file)]) == 0
     assert "| `CleanRL's RND gamma=0.9 steps=16384` | 1.00 | 1.00 |" in capsys.readouterr().out
@@ -220,7 +220,7 @@ def test_rlexplore_adapter_step_returns_frames_and_two_kinds_of_end(monkeypatch)
     seen, _ = envs.reset(seed=1)
     np.testing.assert_array_equal(seen, other.reset()[0])
     ends = {"goal": 0, "limit": 0}
-    for _ in range(400):  # two of the cars swing to the goal, two stand still
+    for _ in range(400):  # two cars swing to the goal, two are not pushed
         action = np.where(seen[:, 1] >= 0, 2, 0)
         action[2:] = 1
         seen, reward, terminated, truncated, _ = envs.step(action)
@@ -233,7 +233,7 @@ def test_rlexplore_adapter_step_returns_frames_and_two_kinds_of_end(monkeypatch)
         ends["goal"] += int(terminated[:2].sum())
         ends["limit"] += int(truncated[2:].sum())
     assert ends["goal"] >= 4
-    assert ends["limit"] == 2  # the next is at 401, after a reset
+    assert ends["limit"] == 2  # the next is at step 401, because of the reset
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,9 @@ def test_rlexplore_adapter_step_returns_frames_and_two_kinds_of_end(monkeypatch)
         (["a.py"], "it has no Agent, RNDModel, SummaryWriter, envpool"),
     ],
 )
-def test_external_bad_input_is_one_line(arguments, said, light, tmp_path, monkeypatch, capsys):
+def test_external_bad_input_is_refused_with_reason(
+    arguments, said, light, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.py").write_text("")
     assert main([*arguments, "seed=0"]) == 2
