@@ -66,8 +66,3 @@ def test_random_agent_bad_input_is_one_line(more, said, capsys):
     assert main(["env=MountainCar", "num_envs=8", *more]) == 2
     (line,) = [x for x in capsys.readouterr().err.splitlines() if x.startswith("sndjax:")]
     assert said in line
-
-
-def test_random_agent_help_or_no_argument_prints_example(capsys):
-    assert (main(["--help"]), main([])) == (0, 2)
-    assert capsys.readouterr().out.count("sndjax random_agent env=CoinrunEasy") == 2

@@ -1,4 +1,4 @@
-"""The view of a sweep: it prints what changed, and unrelated files do not stop it."""
+"""The view of a sweep: it prints what changed."""
 
 import json
 import time
