@@ -1,8 +1,8 @@
 """Compare the feature spaces of trained modules (section 5.4): sndjax analyze RUN_DIR...
 
-Collects states with one agent (or takes the recorded trajectory through Montezuma's Revenge),
+Collects states with one agent (or uses the recorded trajectory through Montezuma's Revenge),
 encodes them with the module of every run, and draws Fig. 5.7 to 5.10 with the rows of Tables 5.9
-and 5.10: one page, and each part as PNG, SVG and CSV.
+and 5.10. Writes one page, and each part as PNG, SVG and CSV.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Options:
 
 
 def analyze(runs: list[Path], options: Options) -> None:
-    """Write the page."""
+    """Write the page about the feature spaces of the runs."""
     from .analysis.feature_report import check_runs, write_feature_report
 
     agent = None if options.agent is None else Path(options.agent)

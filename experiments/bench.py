@@ -1,8 +1,8 @@
-"""Measure where the time of a run goes: sndjax bench env=Venture algo=snd_std
+"""Time each phase of a training iteration: sndjax bench env=Venture algo=snd_std
 
-Each phase of an iteration is timed on some of its minibatches and scaled up, so that a table is
-there in minutes; with --whole a real iteration is timed beside it. The last line is one JSON object
-with the same figures.
+Times each phase on some of its minibatches and scales the time up to a whole iteration, so that the
+table is ready within minutes; with --whole a real iteration is timed too. The last line is one JSON
+object with the same figures.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class Options:
 
 
 def bench(config: Config, options: Options) -> None:
-    """Print the table and the JSON object."""
+    """Time the phases, and print the table and the JSON object."""
     from .benchmarks.phases import print_benchmark
 
     print_benchmark(config, options.whole)

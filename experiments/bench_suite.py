@@ -1,9 +1,9 @@
-"""Compare the benchmark of each algorithm with the committed figures: sndjax bench_suite [--write]
+"""Compare all benchmarks with the committed figures: sndjax bench_suite [--write]
 
-Runs `sndjax bench env=Venture` for each in a process of its own (where there is a GPU also with
-four seeds at once) and prints its figures as ratios to those in docs/results/, in bench-cpu.json or
-bench-gpu.json, which --write replaces. Shares of the machine's own matrix product are compared, so
-that a slower machine is no regression.
+Runs `sndjax bench env=Venture` for each algorithm in a separate process (on a GPU also SND-STD with
+four seeds at once), and prints the figures and their ratio to the committed ones in docs/results/:
+bench-cpu.json or bench-gpu.json, which --write replaces. The ratio compares shares of the machine's
+matrix product rate, so that a slower machine does not look like a regression.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Options:
 
 
 def suite(paths: list[Path], options: Options) -> None:
-    """Print a line for each benchmark."""
+    """Run the benchmarks, and print a line for each."""
     from .benchmarks.suite import print_suite
 
     named = [str(path) for path in paths]  # bench_suite rnd icm

@@ -1,12 +1,15 @@
-"""Estimate what a sweep of the thesis' size costs: sndjax budget
+"""Estimate the time, memory and disk space of a sweep of the thesis' size: sndjax budget
 
-Takes the jobs of conf/sweep/thesis.yaml (or sweep=NAME), the measured rates of docs/results/
-bench-cpu.json (and bench-gpu.json, where there is one), each algorithm's work per step and the
-size of its state, and says how long the sweep takes on two cores and on GPUs, and what it holds
-in memory and on the disk. On two cores what was not measured is scaled by its work from what was;
-on a GPU it is as slow as the slowest that was. Where no GPU was measured, one is as fast as the
-environments that the cores beside it step, at the measured rate per core, and the page says how
-much of its arithmetic that takes; --cores and --gpu-tflops are only for that.
+Reads the jobs of conf/sweep/thesis.yaml (or sweep=NAME) and the measured rates in docs/results/
+bench-cpu.json (and bench-gpu.json, if it exists), and computes the operations per step and the
+size of the state of each algorithm. Prints how long the sweep takes on two cores and on GPUs, and
+how much memory and disk space it needs.
+
+If an algorithm was not measured, its rate on two cores is scaled from a measured rate by the
+operations per step, and its rate on a GPU is the slowest measured rate. If no GPU was measured, a
+GPU is assumed to be as fast as the environments on the cores beside it, at the measured rate per
+core, and the output also gives the share of the GPU's peak that this needs; only then --cores and
+--gpu-tflops are used.
 """
 
 from dataclasses import dataclass
@@ -29,7 +32,7 @@ class Options:
 
 
 def budget(paths: list[Path], options: Options) -> None:
-    """Print the tables."""
+    """Print the tables of the estimate."""
     from .benchmarks.sweep_budget import budget_tables
 
     print(budget_tables(options.sweep, options.cores, options.gpu_tflops))

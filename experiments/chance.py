@@ -1,4 +1,4 @@
-"""The earlier name of `random_agent`, for command lines that were written down."""
+"""The earlier name of `random_agent`, kept for existing command lines."""
 
 from .random_agent import main
 from .system.process import run_script

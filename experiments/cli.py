@@ -44,7 +44,7 @@ ALIASES = {  # earlier names
 
 
 def help_text() -> str:
-    """Return what `sndjax --help` prints."""
+    """Return the text that `sndjax --help` prints."""
     lines = [
         "usage: sndjax env=NAME algo=NAME [key=value ...]     train: the same as sndjax run ...",
         "       sndjax COMMAND ...",
@@ -62,7 +62,7 @@ def help_text() -> str:
 def split_command(arguments: list[str]) -> tuple[str, list[str]]:
     """Return the command that a command line names, and its arguments.
 
-    What begins with an option, `key=value` or `-m`, is `run`.
+    A command line that begins with an option (`key=value` or `-m`) is `run`.
 
     >>> split_command(["env=Venture", "algo=rnd"])
     ('run', ['env=Venture', 'algo=rnd'])

@@ -1,8 +1,9 @@
-"""Print what the compiled updates compute: sndjax compiled_cost [ALGORITHM ...]
+"""Print the cost of the compiled updates: sndjax compiled_cost [ALGORITHM ...]
 
-One JSON object: of each algorithm's `train_step` at the thesis configuration on Atari the
-operations of its products, every turn of a loop counted; XLA's own count of operations and of
-bytes read and written, to which the body of a loop counts once; and the megabytes of temporaries.
+Prints one JSON object about each algorithm's `train_step` at the thesis configuration on Atari: the
+operations of its matrix products and convolutions, with every iteration of a loop counted; XLA's
+count of operations and of bytes read and written, with the body of a loop counted once; and the
+megabytes of temporary buffers.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ class Options:
 
 
 def compiled_cost(paths: list[Path], options: Options) -> None:
-    """Print the figures."""
+    """Print the figures of the algorithms."""
     from .benchmarks.compiled_cost import print_compiled_cost
 
     print_compiled_cost([str(path) for path in paths] or options.algos.split(","))

@@ -1,10 +1,11 @@
 """Time a convolution's implementations side by side: sndjax convolutions
 
-One gradient of the policy's network on 512 Atari stacks: in slices of several sizes (on a CPU
-`sndjax.convolution` takes eight images, elsewhere the whole batch) and with XLA's own
-convolution. On a GPU, where many small slices compile slowly, only the whole batch and XLA's own,
-but of four agents at once too. All in turn, each round in another order, a matrix product before
-each round. For whoever wants to know whether what was chosen suits another machine.
+Times one gradient of the policy's network on 512 Atari stacks: with the batch in slices of several
+sizes (`sndjax.convolution` uses slices of eight images on a CPU and the whole batch elsewhere), and
+with XLA's own convolution. On a GPU, where many small slices compile slowly, only the whole batch
+and XLA's convolution are timed, but also with four agents at once. All implementations are timed in
+turn, in another order in each round, with a matrix product before each round. Use the figures to
+check whether the default suits another machine.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ class Options:
 
 
 def convolutions(paths: list[Path], options: Options) -> None:
-    """Print a line for each implementation."""
+    """Time every implementation, and print a line for each."""
     from .benchmarks.convolutions import print_convolutions
 
     print_convolutions(options.rounds)

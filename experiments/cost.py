@@ -1,7 +1,8 @@
-"""Count what the cells' products and convolutions cost, against PPO's: sndjax cost
+"""Count the operations of the algorithms and cells, relative to PPO: sndjax cost
 
-Counted from the program of a whole update and of acting at the thesis configuration, with nothing
-computed: a figure of the equations and the networks, the same on every machine.
+Counts the matrix products and convolutions in the program of a whole update and of acting, at the
+thesis configuration. Nothing is computed: the figures depend only on the equations and the
+networks, and are the same on every machine. A cell is an objective with a signal.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ class Options:
 
 
 def cost(paths: list[Path], options: Options) -> None:
-    """Print the table."""
+    """Print the table of operations."""
     from .benchmarks.counted_flops import print_costs
 
     print_costs()

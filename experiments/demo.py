@@ -1,7 +1,7 @@
-"""Show what a novelty bonus changes, in seconds, with a picture of it: sndjax demo
+"""Train PPO and SND-VIC on MountainCar, and draw their learning curves: sndjax demo
 
-Trains PPO and SND-VIC on MountainCar with reward only at the goal, three seeds each, and draws
-their learning curves together.
+Shows in seconds what a novelty bonus changes: the reward is only at the goal. Trains three seeds of
+each algorithm, and draws the learning curves in one picture.
 """
 
 import secrets
@@ -26,7 +26,11 @@ class Options:
 
 
 def demo(paths: list[Path], options: Options) -> None:
-    """Train both algorithms, and draw their learning curves together."""
+    """Train both algorithms, and draw their learning curves in one picture.
+
+    Raises:
+      SystemExit: a run failed; with the exit status of the run.
+    """
     root = Path("runs") / "demo" / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
     runs = {algo: root / algo for algo in ALGORITHMS}
     print("MountainCar, reward 1 at the goal and 0 elsewhere: does it ever get there?")
@@ -35,7 +39,7 @@ def demo(paths: list[Path], options: Options) -> None:
         arguments += [f"total_steps={options.steps}", f"run_dir={run}"]
         print(f"\n$ sndjax {' '.join(arguments)}", flush=True)
         if status := run_command_line("run", *arguments).returncode:
-            raise SystemExit(status if status > 0 else 128 - status)  # it printed the reason
+            raise SystemExit(status if status > 0 else 128 - status)  # the run printed the reason
     from .reporting.learning_curves import draw_curves
     from .storage.read_runs import find_runs, group_runs, read_summary
 

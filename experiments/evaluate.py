@@ -1,7 +1,8 @@
-"""Measure how well an agent plays, without training: sndjax evaluate RUN_DIR episodes=20
+"""Measure how well trained agents play: sndjax evaluate RUN_DIR episodes=20
 
-Prints return, score and length (and rooms, in Montezuma's Revenge) of every seed of the run, each
-the mean over episodes with its 95% bootstrap interval; as its last line a JSON object.
+Plays without training. Prints the return, score and length (in Montezuma's Revenge also the rooms)
+of every seed of the run, each as the mean over episodes with its 95% bootstrap interval. The last
+line is a JSON object.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ class Options:
 
 
 def evaluate(paths: list[Path], options: Options) -> None:
-    """Play, and print the figures."""
+    """Play the episodes, and print the metrics."""
     run = single_run(paths)
     from .evaluation.metrics import evaluate_run, print_metrics
 

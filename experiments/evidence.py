@@ -1,4 +1,4 @@
-"""The earlier name of `gpu_suite`, for command lines that were written down."""
+"""The earlier name of `gpu_suite`, kept for existing command lines."""
 
 from .gpu_suite import main
 from .system.process import run_script

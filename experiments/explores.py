@@ -1,4 +1,4 @@
-"""The earlier name of `seed_table`, for command lines that were written down."""
+"""The earlier name of `seed_table`, kept for existing command lines."""
 
 from .seed_table import main
 from .system.process import run_script

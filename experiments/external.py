@@ -1,14 +1,15 @@
 """Run another project's RND on our task: sndjax external SCRIPT.py peer=cleanrl seed=0
 
-Runs a training script of theirs, read from a file, on MountainCar with reward only at the goal,
-as our pools make it. Its training code runs unchanged; what stands in for Atari is ours: the
-environments, the networks (for vectors, 64 wide), the size of a frame, the log. Of its settings
-num_envs is 32, as ours, and CleanRL initialises its normalisation for one rollout, not for 50;
-settings= says others. Leaves OUT/<peer>-<seed>.json (with settings in its name, if there are any),
-for `sndjax seed_table`; episodes of the random warm-up that the scripts begin with are left out.
+Runs a training script of another project, read from a file, on our MountainCar with reward only at
+the goal. The training code of the script runs unchanged; only what belongs to Atari is replaced by
+ours: the environments, the networks (for vectors, 64 wide), the size of a frame, the log. Two
+settings of the script are changed: num_envs is 32, as in our runs, and CleanRL initialises its
+normalisation for one rollout instead of 50; settings= changes others. Writes
+OUT/<peer>-<seed>.json (with the settings in its name, if any are given) for `sndjax seed_table`.
+The episodes of the random warm-up at the start of the scripts are not counted.
 
     peer=cleanrl      CleanRL's ppo_rnd_envpool.py (needs torch, tyro, gym)
-    peer=rlexplore    RLeXplore's "3 rlexplore_with_cleanrl.py", its RND in place of its RE3
+    peer=rlexplore    RLeXplore's "3 rlexplore_with_cleanrl.py", with its RND instead of its RE3
                       (needs torch, tyro, rllte-core)
 """
 
@@ -36,7 +37,11 @@ class Options:
 
 
 def external(paths: list[Path], options: Options) -> None:
-    """Run the script, and write its figures."""
+    """Run the script, and write its figures.
+
+    Raises:
+      ConfigError: not one existing script is given, or it cannot be run.
+    """
     if len(paths) != 1:
         raise ConfigError("give one script")
     if not is_file(paths[0]):

@@ -1,8 +1,8 @@
-"""Learn one rollout several times: sndjax fixed_rollout env=Venture algo=snd_std
+"""Train a module repeatedly on one rollout: sndjax fixed_rollout env=Venture algo=snd_std
 
-Collects one real rollout with the policy as it starts, then lets only the intrinsic module learn
-from it for some updates, and prints its losses, means over minibatches. Whether a module learns at
-all is seen here, with nothing else moving.
+Collects one real rollout with the initial policy, then trains only the intrinsic module on it for
+some updates, and prints the losses (means over minibatches). This shows whether a module learns at
+all, while nothing else changes.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,9 @@
-"""Train the thesis' hard games on a GPU while there is time: sndjax gpu_suite --minutes 240
+"""Train the thesis' hard games on a GPU for a given time: sndjax gpu_suite --minutes 240
 
 Trains SND-VIC, SND-STD, RND and PPO on Montezuma's Revenge and Venture at the thesis' settings,
---at-once of them side by side, each for its share of the minutes, and stops it at a checkpoint.
-Called again it resumes every run. Leaves a run directory for each, and a page of them all.
+--at-once of them side by side, each for its share of the minutes; at the end each run writes a
+checkpoint and stops. The same command resumes every run. Writes a directory for each run, and one
+page about all of them.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,11 @@ class Options:
 
 
 def train(paths: list[Path], options: Options) -> None:
-    """Train everything, each for its share of the time, and write the page."""
+    """Train every run for its share of the time, and write the page.
+
+    Raises:
+      ConfigError: an environment or algorithm does not exist, there is no GPU, or runs failed.
+    """
     from .benchmarks.gpu_suite import run_suite
 
     pairs = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]

@@ -1,4 +1,4 @@
-"""The earlier name of `compiled_cost`, for command lines that were written down."""
+"""The earlier name of `compiled_cost`, kept for existing command lines."""
 
 from .compiled_cost import main
 from .system.process import run_script

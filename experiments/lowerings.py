@@ -1,4 +1,4 @@
-"""The earlier name of `convolutions`, for command lines that were written down."""
+"""The earlier name of `convolutions`, kept for existing command lines."""
 
 from .convolutions import main
 from .system.process import run_script

@@ -1,10 +1,12 @@
-"""Detect novelty with no agent (Fig. 5.11): sndjax novelty env=MontezumaRevenge
+"""Read modules' signals along a trajectory (Fig. 5.11): sndjax novelty env=MontezumaRevenge
 
-Modules go along one long trajectory (`sndjax trajectory`), 2,700 states in order. At every
-fourth step n each takes one gradient step on 128 pairs of the past, m < n (32 runs of four, as in
-the thesis' minibatches); at every 32nd its signal is read on four windows: the past, the near
-future n < m < n + 128, the far future m > n, and anywhere. Seven modules take about an hour on two
-cores; each is written when it is done, and the same command continues where it was.
+Tests without an agent whether modules detect novelty. Each module is trained along one long
+trajectory (from `sndjax trajectory`), 2,700 states in order. At every fourth step n it takes one
+gradient step on 128 pairs of the past, m < n (32 segments of four, as in the thesis' minibatches).
+At every 32nd step its signal is read on four windows: the past, the near future n < m < n + 128,
+the far future m > n, and the whole trajectory. Seven modules take about an hour on two cores. The
+result of each module is saved when it is complete; the same command computes only those that are
+missing.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The earlier name of `external`, for command lines that were written down."""
+"""The earlier name of `external`, kept for existing command lines."""
 
 from .external import main
 from .system.process import run_script

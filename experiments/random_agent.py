@@ -1,8 +1,8 @@
-"""Count how often chance alone is rewarded: sndjax random_agent env=CoinrunEasy keep=10
+"""Count the rewarded episodes of a random agent: sndjax random_agent env=CoinrunEasy keep=10
 
-Plays total_steps with an agent that draws actions uniformly, and says how many episodes had a
-reward: where it is none, a bonus has something to do. keep=10 keeps an action for ten steps on
-average (1, the default: each is drawn).
+Plays total_steps with an agent that draws actions uniformly, and prints how many episodes had a
+reward: if there is none, a novelty bonus can help. keep=10 keeps an action for ten steps on average
+(1, the default: every action is drawn).
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class Options:
 
 
 def play(config: Config, options: Options) -> None:
-    """Print one line."""
+    """Play with random actions, and print one line of results."""
     from .benchmarks.random_agent import print_random_agent
 
     print_random_agent(config, options.keep)

@@ -1,8 +1,8 @@
-"""Film the best of some episodes, and its most novel frames: sndjax record RUN_DIR
+"""Record a video of an agent, with its novelty signal: sndjax record RUN_DIR
 
-Beside the game, as envpool draws it: the novelty signal, the value estimates and the score, with
-a mark at the current step. Written to RUN_DIR/films/: an mp4 (VP9) and a PNG of the most novel
-frames.
+Plays some episodes and records the best. The video shows the game as envpool draws it, and beside
+it the novelty signal, the value estimates and the score, with a mark at the current step. Writes an
+mp4 (VP9) and a PNG of the most novel frames to RUN_DIR/films/.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Options:
 
 
 def record(paths: list[Path], options: Options) -> None:
-    """Make the film, and print the names of the files."""
+    """Record the video, and print the paths of the files."""
     run = single_run(paths)
     from .evaluation.video import FilmSettings, record_film
 

@@ -1,10 +1,10 @@
-"""Run an update that went wrong once more: sndjax replay <run>/wrong-<iteration>
+"""Repeat an update that produced NaN or Inf: sndjax replay <run>/wrong-<iteration>
 
-Reads the dump that a run leaves when a number is not finite: the configuration, the state
-before the update and its batch. Says what of them was not finite already, runs the same update
-again, and names the operation that the first such number comes out of.
+Reads the dump that a run writes when a number is not finite: the configuration, the state before
+the update and its batch. Prints which of these numbers were not finite already, runs the same
+update again, and names the operation that produces the first NaN.
 
-Where the run's bonus or task is code, say algo.module=... or env.id=... again.
+If the run uses a custom module or task (Python code), repeat algo.module=... or env.id=...
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from .system.process import run_script
 
 @dataclass(frozen=True)
 class Options:
-    """The options of the command: none of its own, but those of a run."""
+    """The options of the command: none; it takes the options of a run."""
 
 
 def main(arguments: list[str]) -> int:

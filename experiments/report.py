@@ -1,8 +1,8 @@
-"""Write one page of any runs, finished or not: sndjax report runs/ --out report
+"""Write one page about runs, finished or not: sndjax report runs/ --out report
 
-Learning curves, the thesis' tables with our numbers beside its own, statistics over seeds: as one
-HTML file with everything in it, and each part as PNG, SVG and CSV. With --live it is written again
-every half minute, and the page loads itself again.
+The page shows learning curves, the thesis' tables with our numbers beside the published ones, and
+statistics over seeds. Writes one self-contained HTML file, and each part as PNG, SVG and CSV. With
+--live the page is written again every half minute, and it reloads itself.
 """
 
 import time
@@ -24,7 +24,11 @@ class Options:
 
 
 def report(paths: list[Path], options: Options) -> None:
-    """Write the page, once or until Ctrl-C."""
+    """Write the page, once or until Ctrl-C.
+
+    Raises:
+      ConfigError: no directory is given, or there is nothing to show.
+    """
     if not paths:
         raise ConfigError("give the directories: sndjax report runs/")
     from .reporting.run_report import REFRESH_SECONDS, write_report
@@ -33,7 +37,7 @@ def report(paths: list[Path], options: Options) -> None:
     while options.live:
         try:
             write_report(paths, out, live=True)
-        except ConfigError as error:  # nothing yet
+        except ConfigError as error:  # no runs yet
             print(error, flush=True)
         time.sleep(REFRESH_SECONDS)
     write_report(paths, out)

@@ -1,7 +1,7 @@
 """Train one agent, or a sweep of them: sndjax env=Venture algo=snd_std.
 
-Only the configuration is read before anything heavy is imported, so that bad input is refused in a
-moment.
+The configuration is read and checked before the slow imports (such as jax), so that bad input is
+refused at once.
 """
 
 import os
@@ -20,16 +20,16 @@ from .system.process import configure_xla, run_script
 
 
 def resume_hint(directory: RunDirectory | FollowerDirectory | None) -> str:
-    """Return how to resume what is in the directory, or "" where there is nothing to resume."""
+    """Return a hint how to resume the run in a directory, or "" if there is no run."""
     path = directory.shared if directory else None
     return f"; to resume: resume={path}" if path and (path / CONFIG).exists() else ""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train what the arguments ask for, and return the exit status.
+    """Train the run or the sweep of a command line, and return the exit status.
 
-    0 done; 1 stopped by a full disk or by a number that is not finite; 2 bad input; 130 and 143
-    stopped by SIGINT and SIGTERM.
+    The status is 0 for done; 1 for a run that a full disk or a number that is not finite stopped;
+    2 for bad input; 130 and 143 for a run that SIGINT and SIGTERM stopped.
     """
     if asks_for_help(arguments) or list(arguments[:1]) == ["help"]:
         print(run_help())
@@ -46,10 +46,11 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def open_run_directory(config: Config) -> RunDirectory | FollowerDirectory:
-    """Return the directory that this process writes to; the first process has the run's.
+    """Return the run directory in the first process, a `FollowerDirectory` in the others.
 
     Raises:
-      ConfigError: it cannot be written to; all processes get the error.
+      ConfigError: the directory cannot be written to (all processes get the error), or a
+        distributed run has no run_dir.
     """
     if not config.distributed:
         return RunDirectory(config)
@@ -73,12 +74,12 @@ def open_run_directory(config: Config) -> RunDirectory | FollowerDirectory:
             assert_equal_on_hosts(1, "were refused")
         raise refused
     if not leads:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # one display for all
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # only the first process prints
     return found
 
 
 def train(arguments: list[str], interrupts: Interrupts) -> int:
-    """Train the run that the arguments ask for, and return its exit status."""
+    """Train the run of a command line, and return its exit status."""
     directory: RunDirectory | FollowerDirectory | None = None
     try:
         config = load_config(arguments)
@@ -91,7 +92,7 @@ def train(arguments: list[str], interrupts: Interrupts) -> int:
         if directory is not None:
             directory.discard()
         return print_error(error)
-    except FloatingPointError as error:  # it says how to see why
+    except FloatingPointError as error:  # the message says how to find the cause
         return print_error(error, 1)
     except OSError as error:
         return print_error(f"cannot write the run: {error}{resume_hint(directory)}", 1)

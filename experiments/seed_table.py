@@ -1,9 +1,10 @@
 """Print the table of a sweep: sndjax seed_table DIR --out docs/results/explores/NAME
 
-Takes every run in these directories, or a NAME.json that it wrote before, and prints a Markdown
-table: of each seed the external return of its last 100 episodes, their mean with its 95% bootstrap
-interval, how many seeds reach the goal, the mean over all episodes, the seconds of training.
-Writes NAME.json, the runs' summaries, and NAME.png, a dot for every seed.
+Reads every run in the directories, or a NAME.json of an earlier call, and prints a Markdown table:
+the external return of the last 100 episodes of each seed, the mean over seeds with its 95%
+bootstrap interval, the number of seeds that reach the goal, the mean over all episodes, and the
+seconds of training. Writes NAME.json with the runs' summaries, and NAME.png with a dot for every
+seed.
 """
 
 import sys
@@ -25,7 +26,11 @@ class Options:
 
 
 def print_table(paths: list[Path], options: Options) -> None:
-    """Print the table, and write what was asked for."""
+    """Print the table, and write the files if the option `out` is given.
+
+    Raises:
+      ConfigError: there is no finished run.
+    """
     from .reporting.seed_table import draw_seeds, load_summaries, markdown_table, write_summaries
 
     summaries, unfinished = load_summaries(paths)

@@ -1,8 +1,7 @@
-"""Say how far each job of a sweep is: sndjax sweep status DIR
+"""Print the state of each job of a sweep: sndjax sweep status DIR
 
-A sweep is started by `sndjax -m env=A,B algo=C,D seed=0,9`: its jobs are checked before the first
-starts; those that can run and are not finished are handed to Hydra's launcher, each a process of
-its own.
+A sweep is started by `sndjax -m env=A,B algo=C,D seed=0,9`. All jobs are checked before the first
+starts. Hydra's launcher runs the valid jobs that are not finished, each in a separate process.
 """
 
 from dataclasses import dataclass
@@ -19,7 +18,11 @@ class Options:
 
 
 def sweep(paths: list[Path], options: Options) -> None:
-    """Print the table of a sweep's jobs."""
+    """Print the table of a sweep's jobs.
+
+    Raises:
+      ConfigError: the command line is not `status DIR`, or the directory holds no sweep.
+    """
     if len(paths) != 2 or str(paths[0]) != "status":
         raise ConfigError(f"'{' '.join(map(str, paths))}': write sndjax sweep status DIR")
     from .sweeps.job_status import job_statuses

@@ -1,9 +1,10 @@
-"""Search for a long path through Montezuma's Revenge, without an agent: sndjax trajectory [FILE]
+"""Search for a long path through Montezuma's Revenge: sndjax trajectory [FILE]
 
-As Go-Explore's first phase (Ecoffet et al., 2021): an archive of cells, each with an emulator state
-that can be restored, and random actions from there. What is kept is the list of actions, by default
-in the laboratory's own data/montezuma.json, from which the frames can be made again. Takes up to
-ten minutes; a seed gives the same path on every machine that gets as far in them.
+The search needs no agent. It is the first phase of Go-Explore (Ecoffet et al., 2021): an archive of
+cells, each with an emulator state that can be restored, and random actions from these states.
+Writes the list of actions, by default to experiments/data/montezuma.json; the frames can be made
+again from it. Takes up to ten minutes. A seed gives the same path on every machine that is fast
+enough to search equally far in this time.
 """
 
 import json
@@ -30,7 +31,11 @@ class Options:
 
 
 def search(paths: list[Path], options: Options) -> None:
-    """Search on every core, and write the path through the most rooms."""
+    """Search on every core, and write the path through the most rooms.
+
+    Raises:
+      ConfigError: several files are given, ale-py is missing, or the file cannot be written.
+    """
     if len(paths) > 1:
         raise ConfigError("give one file, or none")
     if find_spec("ale_py") is None:

@@ -1,5 +1,5 @@
-"""What trained modules have learned: feature spaces, novelty along a trajectory, fixed rollouts.
+"""Studies of trained modules: feature spaces, novelty along a trajectory, fixed rollouts.
 
-Studies of section 5.4 of the thesis, the recorded trajectory that they use, and updates that are
-run once more to see what went wrong. Knows nothing of sweeps or benchmarks.
+Contains the studies of section 5.4 of the thesis, the recorded trajectory that they use, and the
+replay of updates that produced NaN or Inf. Must not import sweeps or benchmarks.
 """

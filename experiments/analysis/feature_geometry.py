@@ -1,4 +1,4 @@
-"""The shape of a feature space, as section 5.4 measures it. All in float64 NumPy."""
+"""The geometry of a feature space, as measured in section 5.4. All in float64 NumPy."""
 
 import numpy as np
 
@@ -33,12 +33,12 @@ def geometry_figures(z: np.ndarray, follows: np.ndarray) -> dict[str, float]:
     """Compute a row of Tables 5.9 and 5.10.
 
     Args:
-      z: float[M, d], features of states in order.
+      z: float[M, d], the features of M states in order.
       follows: bool[M - 1], True where state m + 1 is the successor of state m.
 
     Returns:
       For the first `COMPARED` states: mean and standard deviation of ||z_t+1 - z_t|| and of ||z||,
-      and percentiles of the eigenvalues. For all states: the rank, and d.
+      and percentiles of the eigenvalues. For all states: the rank, and the width d.
     """
     first = np.asarray(z[:COMPARED], np.float64)
     step = np.linalg.norm(np.diff(first, axis=0), axis=1)[follows[: len(first) - 1]]

@@ -19,12 +19,15 @@ def evenly_spaced(x: np.ndarray) -> np.ndarray:
 
 
 def plot_distances(frames: np.ndarray, spaces: Spaces, out: Path) -> Path:
-    """Draw Fig. 5.7: pairwise distances of states and of features, each over its own range.
+    """Draw Fig. 5.7: pairwise distances of states and of features, each with its own scale.
 
     Args:
       frames: [M, *frame], the states.
       spaces: the features by run.
-      out: where the picture goes.
+      out: the directory of the picture.
+
+    Returns:
+      The path of the picture.
     """
     shown = {"states": frames} | spaces
     columns = min(3, len(shown))
@@ -49,10 +52,13 @@ def plot_tsne(
 
     Args:
       spaces: the features by run.
-      room: int[M], or None.
-      seed: of t-SNE.
-      out: where the picture goes.
+      room: int[M], the room of each state; None without rooms.
+      seed: the seed of t-SNE.
+      out: the directory of the picture.
       bars: the progress display.
+
+    Returns:
+      The path of the picture.
     """
     from sklearn.manifold import TSNE
 
@@ -86,7 +92,10 @@ def plot_eigenvalues(spaces: Spaces, algos: dict[str, str], out: Path) -> Path:
     Args:
       spaces: the features by run.
       algos: the algorithm of each run, for its line style.
-      out: where the picture goes.
+      out: the directory of the picture.
+
+    Returns:
+      The path of the picture.
     """
     figure, ((axes,),) = make_panels(1, 1)
     for name, z in spaces.items():

@@ -31,12 +31,16 @@ THESIS = {"step": "l2_norm", "q25": "eigenvalue_q25", "q50": "eigenvalue_q50",
 
 
 def check_runs(runs: list[Path], trajectory: bool, agent: Path | None) -> None:
-    """Raise ConfigError where these runs cannot be compared.
+    """Check that the runs can be compared.
 
     Args:
-      runs: their directories.
-      trajectory: their features are those of the recorded trajectory.
-      agent: the run whose agent collects states.
+      runs: the directories of the runs.
+      trajectory: whether the states come from the recorded trajectory.
+      agent: the run whose agent collects states; None for the best.
+
+    Raises:
+      ConfigError: no runs are given, a directory holds no run, the runs have different
+        environments, the trajectory is of another environment, or `agent` is not one of the runs.
     """
     if not runs:
         raise ConfigError("give the runs: sndjax analyze RUN_DIR...")
@@ -63,7 +67,7 @@ def check_runs(runs: list[Path], trajectory: bool, agent: Path | None) -> None:
 
 
 def training_returns(run: Path) -> dict[int, np.ndarray]:
-    """Return the external returns of the training episodes, by seed."""
+    """Return the external returns of a run's training episodes, by seed."""
     return {seed.seed: seed.episodes["ext_return"] for seed in read_run(run).seeds}
 
 
@@ -87,8 +91,8 @@ def table_row(name: str, found: dict[str, float], most: float) -> list[str]:
     """Format our row of the table.
 
     Args:
-      name: of the run and the network.
-      found: the figures of `geometry_figures`.
+      name: the name of the run and the network.
+      found: the figures that `geometry_figures` returns.
       most: the highest external return in training, or NaN.
     """
     return [
@@ -102,7 +106,7 @@ def table_row(name: str, found: dict[str, float], most: float) -> list[str]:
 
 
 def thesis_row(env: str, algo: str) -> list[str] | None:
-    """Return the thesis' row for an environment and an algorithm; None if it has none."""
+    """Return the thesis' row for an environment and an algorithm, or None if there is none."""
     for table in ("5.9", "5.10"):
         known = thesis_numbers(table)
         if (env, algo, "l2_norm") in known:
@@ -114,10 +118,10 @@ def thesis_row(env: str, algo: str) -> list[str] | None:
 
 
 class Encoded(NamedTuple):
-    """States, and what the networks of every run make of them.
+    """States, and their features in the networks of every run.
 
     Attributes:
-      states: in order.
+      states: the states, in order.
       encoders: the features of every run's encoder, float32[M, d], by the run's name; the baseline
         has none.
       torsos: the features of every run's policy torso, float32[M, d].
@@ -135,8 +139,8 @@ def geometry_table(
 
     Args:
       players: the agents.
-      names: of their runs.
-      most: the highest external return that each had in training.
+      names: the names of their runs.
+      most: the highest external return of each agent in training.
       encoded: the states and their features.
     """
     rows = []
@@ -162,12 +166,12 @@ def encode_all(
 
     Args:
       players: the agents.
-      names: of their runs.
-      states: what to encode.
+      names: the names of their runs.
+      states: the states to encode.
       bars: the progress display.
 
     Raises:
-      ConfigError: features are not finite.
+      ConfigError: a module has no features, or some features are not finite.
     """
     encoders, torsos = {}, {}
     for name, player in bars.track("encoding", list(zip(names, players, strict=True))):
@@ -183,13 +187,13 @@ def encode_all(
 def draw_pictures(
     encoded: Encoded, algos: dict[str, str], seed: int, out: Path, bars: ProgressBars
 ) -> list[tuple[Path, str]]:
-    """Draw Fig. 5.7 to 5.10, each with its caption.
+    """Draw Fig. 5.7 to 5.10, and return the path and the caption of each picture.
 
     Args:
       encoded: the states and their features.
       algos: the algorithm of every run, by the run's name.
-      seed: of t-SNE.
-      out: where the pictures go.
+      seed: the seed of t-SNE.
+      out: the directory of the pictures.
       bars: the progress display.
     """
     states, shown = encoded.states, encoded.encoders or encoded.torsos
@@ -209,19 +213,19 @@ def write_feature_report(
     out: Path,
     trust: str | None,
 ) -> Path:
-    """Collect states, encode them, draw them; return the page.
+    """Collect states, encode them, draw the pictures, and return the path of the page.
 
     Args:
-      runs: their directories.
-      count: states to collect.
-      trajectory: take those of the recorded trajectory instead.
-      agent: the run whose agent collects; None: the best of them.
-      seed: of the environments and of t-SNE.
-      out: where the page goes.
-      trust: the code that the runs' configurations name, see `load_players`.
+      runs: the directories of the runs.
+      count: the number of states to collect.
+      trajectory: whether to use the states of the recorded trajectory instead.
+      agent: the run whose agent collects states; None for the best.
+      seed: the seed of the environments and of t-SNE.
+      out: the directory of the page.
+      trust: the code that the runs' configurations may name, see `load_players`.
 
     Raises:
-      ConfigError: a run has no agent to read back.
+      ConfigError: the agents of a run cannot be loaded, or features are missing or not finite.
     """
     players, most, last = [], [], []
     out.mkdir(parents=True, exist_ok=True)

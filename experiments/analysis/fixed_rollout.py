@@ -1,4 +1,4 @@
-"""One rollout, learned several times by the intrinsic module: does it learn at all?"""
+"""Repeated training of the intrinsic module on one rollout, to see whether it learns."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ from ..training.experiment import build_experiment
 def collect_one_rollout(
     config: Config,
 ) -> tuple[sndjax.AgentSpec, sndjax.TrainState, sndjax.Experience]:
-    """Return the agent of a configuration before any training, and its first rollout."""
+    """Return the untrained agent of a configuration, its state and its first rollout."""
     experiment = build_experiment(config)
     states = experiment.init_states()
     collector = experiment.make_collector()
@@ -34,12 +34,12 @@ def collect_one_rollout(
 def make_signal_loss(
     module: sndjax.IntrinsicModule, rollout: sndjax.Rollout, rows: int
 ) -> Callable[..., Any]:
-    """Return a jitted function (params, state, key) -> the signal's loss; None if it has none.
+    """Make a jitted function (params, state, key) -> the signal's loss, or None without one.
 
     Args:
-      module: what is trained.
-      rollout: what it is trained on.
-      rows: the loss is of the first so many.
+      module: the intrinsic module.
+      rollout: the rollout that the module is trained on.
+      rows: the number of rows, from the first, that the loss is computed on.
     """
     batch = sndjax.gather_transitions(rollout, jnp.arange(rows))
 
@@ -52,14 +52,14 @@ def make_signal_loss(
 
 
 def learn_fixed_rollout(config: Config, updates: int) -> None:
-    """Train the module on one rollout again and again, and print its losses.
+    """Train the module repeatedly on one rollout, and print its losses.
 
     Args:
-      config: of one fresh agent.
-      updates: how often.
+      config: the configuration of one fresh agent.
+      updates: the number of updates.
 
     Raises:
-      ConfigError: the configuration has no module, or names a run.
+      ConfigError: the configuration has no module, names a run, or has several seeds.
     """
     if config.algo.name == "ppo":
         raise ConfigError("algo=ppo has no module that learns")
@@ -72,7 +72,7 @@ def learn_fixed_rollout(config: Config, updates: int) -> None:
     _, module_state = jax.jit(module.reward)(
         state.intrinsic, state.intrinsic_state, rollout, state.key
     )
-    # The input statistics have seen the rollout, as in a run.
+    # The input statistics include the rollout, as in a run.
     state = state._replace(intrinsic_state=module_state)
     update = jax.jit(lambda state, key: update_intrinsic_module(agent, state, batch, key))
     loss = make_signal_loss(module, rollout, config.algo.minibatch_size)

@@ -1,7 +1,7 @@
 """The search for a long path through Montezuma's Revenge. Only this file needs ale-py.
 
-As Go-Explore's first phase (Ecoffet et al., 2021): an archive of cells, each with an emulator state
-that can be restored, and random actions from there.
+The search is the first phase of Go-Explore (Ecoffet et al., 2021): an archive of cells, each with
+an emulator state that can be restored, and random actions from these states.
 """
 
 import time
@@ -14,28 +14,28 @@ import numpy as np
 from ..environments.pools import MONTEZUMA_ROOM
 from .montezuma_path import ACTION_LETTERS
 
-STATES, ROOMS = 2_700, 12  # of the thesis' trajectory, and rooms that ours should go through
-WALK = 100  # agent steps from a cell
-TRIES = 40  # walks of which one is continued, at the end
-REPEAT = 0.95  # probability that an action is taken once more
+STATES, ROOMS = 2_700, 12  # states of the thesis' trajectory; rooms that ours should visit
+WALK = 100  # agent steps of a random walk from a cell
+TRIES = 40  # walks of which one is kept, to lengthen the path at the end
+REPEAT = 0.95  # probability that an action is repeated
 X, Y, INVENTORY = 42, 43, 65  # bytes of RAM
 
 
 class Node(NamedTuple):
     """A cell's first visit: the path to it, and the emulator state at that time."""
 
-    parent: int  # -1: the start
-    actions: bytes  # from there
+    parent: int  # index of the parent node; -1 for the start
+    actions: bytes  # from the parent
     state: Any
     depth: int  # agent steps from the start
-    rooms: frozenset[int]  # gone through on the way
+    rooms: frozenset[int]  # visited on the path
 
 
 class Emulator:
-    """ALE with a deterministic controller, stepped as the environments are."""
+    """The ALE emulator without sticky actions, stepped like the environments."""
 
     def __init__(self) -> None:
-        """Play to the first state that an agent sees."""
+        """Start the game, and step to the first state that an agent sees."""
         from ale_py import Action, ALEInterface, LoggerMode, roms
 
         ALEInterface.setLoggerMode(LoggerMode.Error)
@@ -63,18 +63,18 @@ class Search:
     """The archive of cells and the walks from them."""
 
     def __init__(self, seed: int):
-        """Start with the first state alone."""
+        """Start with only the first state in the archive."""
         self.draw = np.random.default_rng(seed)
         self.emulator = Emulator()
         ram = self.emulator.ale.getRAM()
         state = self.emulator.ale.cloneState()
         self.nodes = [Node(-1, b"", state, 0, frozenset([int(ram[MONTEZUMA_ROOM])]))]
         self.cells = {cell_of(ram)}
-        self.chosen = np.zeros(1 << 17)  # walks from a node
-        self.reach = np.ones(1 << 17)  # rooms on the way to it
+        self.chosen = np.zeros(1 << 17)  # number of walks from each node
+        self.reach = np.ones(1 << 17)  # number of rooms on the path to each node
 
     def walk(self, start: Node) -> Iterator[tuple[bytes, np.ndarray]]:
-        """Yield the random actions so far and the RAM, from a cell until a life is lost."""
+        """Yield the actions so far and the RAM of a random walk, until its end or a lost life."""
         ale, actions, action = self.emulator.ale, bytearray(), 0
         ale.restoreState(start.state)
         lives = ale.lives()
@@ -102,9 +102,9 @@ class Search:
         """Add the current emulator state to the archive.
 
         Args:
-          parent: the node that the walk came from.
-          actions: from there.
-          room: that it ended in.
+          parent: the index of the parent node.
+          actions: the actions from the parent.
+          room: the current room.
         """
         came = self.nodes[parent]
         depth, rooms = came.depth + len(actions), came.rooms | {room}
@@ -113,12 +113,12 @@ class Search:
         self.nodes.append(Node(parent, actions, state, depth, rooms))
 
     def choose(self) -> int:
-        """Draw a node, with more weight on those seldom chosen and those with many rooms."""
+        """Draw a node; rarely chosen nodes and nodes with many rooms have more weight."""
         weight = self.reach[: len(self.nodes)] / np.sqrt(self.chosen[: len(self.nodes)] + 1)
         return int(np.searchsorted(np.cumsum(weight), self.draw.random() * weight.sum()))
 
     def best(self) -> int:
-        """Return the node with the most rooms on the way to it; of equal ones, the deepest."""
+        """Return the node with the most rooms on its path; the deepest if several are equal."""
         reached = [(len(node.rooms), node.depth) for node in self.nodes]
         return max(range(len(reached)), key=reached.__getitem__)
 
@@ -139,7 +139,7 @@ class Search:
             if most:
                 ends.append(len(self.nodes) - 1)
             elif len(ends) > 1:
-                ends.pop()  # it was falling already
+                ends.pop()  # no walk survives from this node
         return ends[-1]
 
     def actions(self, node: int) -> bytes:
@@ -152,11 +152,11 @@ class Search:
 
 
 def search_path(seed: int, deadline: float) -> tuple[int, bytes]:
-    """Search for a path until the deadline.
+    """Search for a path until the deadline, or until it visits `ROOMS` rooms.
 
     Args:
-      seed: of the random actions.
-      deadline: as `time.time()` counts.
+      seed: the seed of the random actions.
+      deadline: the time to stop, in seconds as `time.time()` returns them.
 
     Returns:
       The number of rooms on the path, and its actions.

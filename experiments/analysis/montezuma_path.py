@@ -17,11 +17,11 @@ from ..environments.pools import make_pool
 from ..system.errors import ConfigError
 
 DATA = Path(__file__).parents[1] / "data" / "montezuma.json"
-ACTION_LETTERS = "abcdefghijklmnopqr"  # one an action
+ACTION_LETTERS = "abcdefghijklmnopqr"  # one letter per action
 
 
 class Trajectory(NamedTuple):
-    """A trajectory: states s_0 ... s_M-1 and what led from each to the next."""
+    """A trajectory: states s_0 ... s_M-1 and the actions between them."""
 
     frames: np.ndarray  # uint8[M, 96, 96, 1]
     action: np.ndarray  # int32[M - 1]
@@ -29,7 +29,7 @@ class Trajectory(NamedTuple):
 
 
 def deterministic_env_config() -> EnvConfig:
-    """Return the environment of the experiments, without sticky actions."""
+    """Return the environment configuration of the experiments, without sticky actions."""
     env = load_config(["env=MontezumaRevenge", "algo=ppo"]).env
     return replace(env, options={**env.options, "repeat_action_probability": 0.0})
 

@@ -1,4 +1,4 @@
-"""Fig. 5.11: every module's signal along the recorded trajectory, as pictures and in numbers."""
+"""The page of Fig. 5.11: every module's signal along the recorded trajectory."""
 
 import json
 from functools import partial
@@ -24,19 +24,19 @@ ABOUT = {
     "random": "any state",
 }
 COLOURS = {"past": "#7F7F7F", "near": "#D55E00", "far": "#0072B2", "random": "#009E73"}
-PEAKS = 5  # that are shown
+PEAKS = 5  # peaks that are shown
 
 
 class StudySettings(NamedTuple):
-    """What is studied, and how finely.
+    """The settings of the studies.
 
     Attributes:
       env: the game.
-      algos: the modules, by name.
-      train_every: states between gradient steps.
-      read_every: states between readings.
-      states: of the trajectory, from its start.
-      seed: of the weights and the draws.
+      algos: the names of the modules.
+      train_every: the number of states between gradient steps.
+      read_every: the number of states between readings.
+      states: the number of states of the trajectory, from its start.
+      seed: the seed of the weights and the random draws.
     """
 
     env: str
@@ -51,7 +51,8 @@ def check_modules(settings: StudySettings) -> None:
     """Check the modules and the steps.
 
     Raises:
-      ConfigError: one does not exist, or has no signal; the steps do not fit.
+      ConfigError: a module does not exist or has no signal, or `read_every` is not a multiple of
+        `train_every`.
     """
     if settings.read_every % settings.train_every:
         raise ConfigError(f"read_every={settings.read_every}: must be a multiple of train_every")
@@ -64,16 +65,16 @@ def study_id(settings: StudySettings, name: str, digest: str) -> dict[str, Any]:
     """Return the settings that identify a cached study.
 
     Args:
-      settings: of all studies.
-      name: of the module.
-      digest: of the trajectory.
+      settings: the settings of all studies.
+      name: the name of the module.
+      digest: the digest of the trajectory.
     """
     kept = {k: v for k, v in settings._asdict().items() if k != "algos"}
     return kept | {"algo": name, "trajectory": digest}
 
 
 def read_study(path: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the cached study of a module; None if there is none with these settings."""
+    """Return the cached study of a module, or None if there is none with these settings."""
     try:
         stored = json.loads(path.read_text())
     except (OSError, ValueError):
@@ -83,12 +84,12 @@ def read_study(path: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def make_studies(settings: StudySettings, walk: Trajectory, out: Path) -> dict[str, dict[str, Any]]:
-    """Return the study of every module, read from the disk or made now.
+    """Return the study of every module, from the cache or made now.
 
     Args:
-      settings: of all studies.
+      settings: the settings of all studies.
       walk: the trajectory.
-      out: where studies are cached.
+      out: the directory of the cached studies.
     """
     found = {}
     total = len(walk.action)
@@ -129,10 +130,13 @@ def draw_study(name: str, stored: dict[str, Any], walk: Trajectory, out: Path) -
     """Draw a panel of Fig. 5.11: the signal of every window, and the states at the peaks.
 
     Args:
-      name: of the module.
-      stored: its study.
+      name: the name of the module.
+      stored: the study of the module.
       walk: the trajectory.
-      out: where the picture goes.
+      out: the directory of the picture.
+
+    Returns:
+      The path of the picture.
     """
     figure, axes = make_panels(2, 1, 8.4, 5.4, height_ratios=[3, 1.3])
     top, bottom = axes[:, 0]
@@ -178,7 +182,7 @@ HEAD = (
 
 
 def study_rows(found: dict[str, dict[str, Any]], walk: Trajectory) -> list[list[str]]:
-    """Return the rows of the table: for each module, the claims of Fig. 5.11 in numbers."""
+    """Return the rows of the table: for each module, the figures of `study_figures`."""
     rows = []
     for name, stored in found.items():
         means = np.array([stored[window] for window in WINDOWS]).T
@@ -188,10 +192,11 @@ def study_rows(found: dict[str, dict[str, Any]], walk: Trajectory) -> list[list[
 
 
 def write_novelty_page(settings: StudySettings, out: Path) -> None:
-    """Study every module, draw, and write the page; what was studied before is read back.
+    """Study every module, draw the pictures, and write the page; cached studies are reused.
 
     Raises:
-      ConfigError: a module does not exist, or has no signal; the steps do not fit.
+      ConfigError: a module does not exist or has no signal, or `read_every` is not a multiple of
+        `train_every`.
     """
     check_modules(settings)
     out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""How one module's signal comes to know a trajectory, trained on its past alone (Fig. 5.11)."""
+"""The signal of a module along a trajectory, trained only on the past (Fig. 5.11)."""
 
 from collections.abc import Callable
 from functools import partial
@@ -19,13 +19,13 @@ from ..training.agents import make_intrinsic_config
 from .montezuma_path import ACTION_LETTERS, Trajectory
 
 WINDOWS = ("past", "near", "far", "random")
-NEAR = 128  # steps that the near future reaches ahead
+NEAR = 128  # steps that the near future covers
 DRAWN = 64  # states that each of the other windows draws
-STEPS, RUNS = 4, 32  # a minibatch: so many runs of so many consecutive pairs
+STEPS, RUNS = 4, 32  # a minibatch: RUNS segments of STEPS consecutive pairs
 
 
 class StudyState(NamedTuple):
-    """A module with what its training moves."""
+    """The parameters, the optimizer state and the module state of a study."""
 
     params: Any
     optimizer: optax.OptState
@@ -33,12 +33,12 @@ class StudyState(NamedTuple):
 
 
 def gather_runs(walk: Trajectory, start: np.ndarray, steps: int) -> Rollout:
-    """Gather runs of consecutive pairs as a rollout [..., steps, N].
+    """Gather segments of consecutive pairs as a rollout [..., steps, N].
 
     Args:
       walk: the trajectory.
-      start: int[..., N], the first pair of each run.
-      steps: pairs in a run.
+      start: int[..., N], the index of the first pair of each segment.
+      steps: the number of pairs in a segment.
     """
     index = start[..., None, :] + np.arange(steps + 1)[:, None]
     pairs = index[..., :-1, :]
@@ -48,13 +48,13 @@ def gather_runs(walk: Trajectory, start: np.ndarray, steps: int) -> Rollout:
 
 
 def draw_windows(n: int, last: int, draw: np.random.Generator) -> list[np.ndarray]:
-    """Return the pairs that each of `WINDOWS` reads at step n.
+    """Return the indices of the pairs in each of `WINDOWS` at step n.
 
     The near future, n < m < n + 128, is complete; from the other windows some pairs are drawn.
 
     Args:
       n: the step.
-      last: the number of the last pair.
+      last: the index of the last pair.
       draw: the random generator.
     """
     return [
@@ -69,12 +69,12 @@ def make_study_steps(name: str) -> tuple[Callable[..., StudyState], Callable[...
     """Make the two jitted steps of a module's study.
 
     Args:
-      name: of an algorithm.
+      name: the name of an algorithm.
 
     Returns:
       begin(key, example) -> the state before any training; advance(study, rollouts, keys, window,
-      key) -> the state after a training step on each rollout, and the signal of the window, read
-      without adding it to the input statistics: most of it is of the future.
+      key) -> the state after a training step on each rollout, and the signal of the window. The
+      input statistics do not include the window, because most of it is in the future.
     """
     algo = load_config(["env=MontezumaRevenge", f"algo={name}"]).algo
     intrinsic = make_intrinsic_config(algo, len(ACTION_LETTERS), sndjax.ATARI)
@@ -88,7 +88,7 @@ def make_study_steps(name: str) -> tuple[Callable[..., StudyState], Callable[...
 
     def train(study: StudyState, inputs: tuple[Rollout, jax.Array]) -> tuple[StudyState, None]:
         (params, optimizer_state, state), (rollout, key) = study, inputs
-        _, state = module.reward(params, state, rollout, key)  # for its input statistics
+        _, state = module.reward(params, state, rollout, key)  # updates the input statistics
         batch = slice_transitions(rollout, jnp.zeros((), jnp.int32), STEPS * RUNS)
         gradient, _ = jax.grad(module.loss, has_aux=True)(params, state, batch, rollout, key)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
@@ -114,14 +114,14 @@ def study_module(
     seed: int,
     report: Callable[[int], None] = lambda n: None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Train a module along a trajectory, and read its signal on the way.
+    """Train a module along a trajectory, and read its signal at regular steps.
 
     Args:
-      name: of an algorithm.
+      name: the name of an algorithm.
       walk: the trajectory, M states.
-      train_every: states between gradient steps.
-      read_every: states between readings; a multiple of `train_every`.
-      seed: of the weights and the draws.
+      train_every: the number of states between gradient steps.
+      read_every: the number of states between readings; a multiple of `train_every`.
+      seed: the seed of the weights and the random draws.
       report: called with the step n.
 
     Returns:
@@ -133,7 +133,7 @@ def study_module(
     where = np.arange(read_every, last - NEAR, read_every)
     means = []
     for n in where.tolist():
-        # A run of pairs m ... m + 3 ends before the state that the step stands at.
+        # The pairs m ... m + 3 of a segment are all before the step.
         steps = np.arange(n - read_every + train_every, n + 1, train_every)
         start = np.stack(
             [draw.integers(0, max(step - STEPS, 0) + 1, RUNS) for step in steps.tolist()]
@@ -153,19 +153,21 @@ def study_module(
 
 
 def study_figures(where: np.ndarray, means: np.ndarray, visits: list[int]) -> dict[str, float]:
-    """Compute what Fig. 5.11 claims, in numbers.
+    """Compute the figures that test the claims of Fig. 5.11.
 
     Args:
-      where: the steps of a `study_module`.
-      means: its means.
+      where: the steps that `study_module` returns.
+      means: the means that `study_module` returns.
       visits: the steps at which a room is entered for the first time.
 
     Returns:
-      far_over_past: the far future's signal over the past's, the median of the readings.
+      far_over_past: the median over readings of the far future's signal divided by the past's.
       far_over_past_last_quarter: the same for the last quarter of the readings.
-      near_last_over_first: the near future's mean in the last quarter over that in the first.
-      new_room_ahead: the probability that near over past is higher at a step with a new room in
-        its near future than at one without; 0.5 is chance, NaN without such steps.
+      near_last_over_first: the near future's mean in the last quarter of the readings divided by
+        its mean in the first quarter.
+      new_room_ahead: the probability that near / past is higher at a step with a new room in the
+        near future than at a step without one; 0.5 is chance, NaN if one of the two kinds of steps
+        is missing.
 
     >>> same = [1.0, 2.0, 4.0, 1.0]
     >>> means = np.array([same, [1.0, 9.0, 4.0, 1.0], same, [1.0, 1.0, 1.0, 1.0]])

@@ -1,4 +1,4 @@
-"""States in order, and what networks make of them."""
+"""Sequences of states, and their features in the networks of a run."""
 
 from collections.abc import Callable
 from functools import partial
@@ -17,7 +17,7 @@ from ..system.errors import ConfigError
 from ..training.agents import make_encode
 from .montezuma_path import load_committed_trajectory
 
-BATCH, TOGETHER = 128, 4  # states through a network at once, episodes played side by side
+BATCH, TOGETHER = 128, 4  # states per network call, episodes played side by side
 
 
 class States(NamedTuple):
@@ -30,11 +30,11 @@ class States(NamedTuple):
 
     @property
     def follows(self) -> np.ndarray:
-        """bool[M - 1]: whether state m + 1 is the successor of state m."""
+        """The successor flags, bool[M - 1]: True where state m + 1 is the successor of state m."""
         return self.age[1:] > 0
 
     def cut(self, count: int) -> "States":
-        """Return the first states."""
+        """Return the first `count` states."""
         return States._make(None if x is None else x[:count] for x in self)
 
 
@@ -45,15 +45,15 @@ def collect_states(
 
     Args:
       player: the agent.
-      count: states to collect.
-      seed: of the environments.
+      count: the number of states to collect.
+      seed: the seed of the environments.
       report: called with the number of states so far.
     """
     parts: list[States] = []
     total = 0
     while total < count:
         for episode in play_episodes(player, TOGETHER, seed=seed + len(parts)):
-            length = len(episode.action)  # the state that ends it has no successor: dropped
+            length = len(episode.action)  # the last state has no successor and is dropped
             room = np.concatenate([episode.room[:1], episode.room[:-1]]).astype(int)
             states = States(episode.frames[:length], episode.action, np.arange(length), room)
             parts.append(states)
@@ -67,7 +67,11 @@ def collect_states(
 
 
 def trajectory_states(count: int) -> States:
-    """Return the first states of the committed trajectory through Montezuma's Revenge."""
+    """Return the first `count` states of the committed trajectory through Montezuma's Revenge.
+
+    Raises:
+      ConfigError: see `load_committed_trajectory`.
+    """
     walk = load_committed_trajectory()
     room = np.concatenate([walk.room[:1], walk.room]).astype(int)
     action = np.append(walk.action, 0).astype(np.int32)
@@ -89,7 +93,7 @@ def encode_states(player: Player, states: States) -> np.ndarray | None:
     """Return the encoder's features of the states, float32[M, d]; None for the baseline.
 
     Raises:
-      ConfigError: this module has no features to show.
+      ConfigError: the module has no features.
     """
     if player.agent.intrinsic is None:
         return None
@@ -100,7 +104,7 @@ def encode_states(player: Player, states: States) -> np.ndarray | None:
 
 
 def policy_torso_features(player: Player, states: States) -> np.ndarray:
-    """Return what the policy's torso makes of the states, float32[M, d]."""
+    """Return the features of the states in the policy's torso, float32[M, d]."""
     stack = player.agent.stack
 
     @jax.jit

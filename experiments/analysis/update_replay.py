@@ -1,4 +1,4 @@
-"""An update that went wrong, run again from the dump that its run left."""
+"""The replay of an update that produced NaN or Inf, from the dump that its run wrote."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,10 +22,11 @@ from ..training.rollouts import experience_spec
 
 
 def dump_config(dump: Path, arguments: list[str]) -> Config:
-    """Return the configuration of a dump; the arguments may only repeat it.
+    """Return the configuration of a dump; the arguments may only repeat its settings.
 
     Raises:
-      ConfigError: this is not a dump, or it names code.
+      ConfigError: the directory is not a dump, an argument differs from its configuration, or the
+        configuration names code that the arguments do not repeat.
     """
     try:
         text = read_manifest(dump)["config"]
@@ -37,7 +38,7 @@ def dump_config(dump: Path, arguments: list[str]) -> Config:
 
 
 def load_dump(dump: Path, config: Config) -> tuple[Experiment, TrainState, Experience]:
-    """Return the agent, the state of every seed and its batch, leaves [S, ...].
+    """Return the experiment of a dump, the state and the batch of all seeds, leaves [S, ...].
 
     Raises:
       ConfigError: the dump is damaged.
@@ -57,7 +58,7 @@ def load_dump(dump: Path, config: Config) -> tuple[Experiment, TrainState, Exper
 
 
 def nonfinite_leaves(tree: Any) -> Iterator[str]:
-    """Yield a line for every array of a pytree that holds a number that is not finite."""
+    """Yield a line for every array of a pytree that contains NaN or Inf."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         if np.issubdtype(leaf.dtype, np.inexact):
             count = int(np.sum(~np.isfinite(leaf)))
@@ -66,12 +67,12 @@ def nonfinite_leaves(tree: Any) -> Iterator[str]:
 
 
 def replay_update(experiment: Experiment, state: TrainState, batch: Experience) -> None:
-    """Run the update again, and print what goes wrong, from the inputs on.
+    """Run the update again, and print which of its inputs and results are not finite.
 
     Args:
-      experiment: the agent.
-      state: before the update, leaves [S, ...].
-      batch: what it learned from, leaves [S, ...].
+      experiment: the experiment of the dump.
+      state: the state before the update, leaves [S, ...].
+      batch: the batch of the update, leaves [S, ...].
     """
     inputs = {"state before": cast(Any, state)._replace(key=None), "batch": batch}
     for name, tree in inputs.items():
@@ -89,7 +90,7 @@ def replay_update(experiment: Experiment, state: TrainState, batch: Experience) 
         print("after the update every figure is finite: it does not go wrong here")
         return
     if not any("nan" in line for line in found):
-        return  # jax finds the operation that makes a nan, and has false alarms about infinity
+        return  # jax finds the operation that makes a NaN; for Inf it has false alarms
     print("looking for the operation, one after another; this can take minutes ...", flush=True)
     try:
         with jax.disable_jit(), jax.debug_nans(True):
@@ -100,7 +101,7 @@ def replay_update(experiment: Experiment, state: TrainState, batch: Experience) 
 
 
 def error_place(error: BaseException) -> str:
-    """Return the innermost line of code outside installed packages that an error came through."""
+    """Return the innermost line of an error's traceback outside installed packages."""
     found, trace = "", error.__traceback__
     while trace is not None:
         file = Path(trace.tb_frame.f_code.co_filename)

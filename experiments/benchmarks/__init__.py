@@ -1,4 +1,4 @@
-"""What runs cost: phases of an iteration, operations, memory, sweeps on paper, other people's code.
+"""Measurements of the cost of runs: time, operations, memory, sweeps, other projects.
 
-Measures the rooms above and changes nothing of them.
+Measures the other packages of the laboratory and must not change them.
 """

@@ -1,8 +1,8 @@
-"""The work of an environment step, worked out by hand from the networks and the loops.
+"""The operations of an environment step, derived by hand from the networks and the loops.
 
-Forward 1, backward 2, for acting, the intrinsic rewards, the PPO epochs and one pass of the
-intrinsic module; a multiply-add is two operations. Nothing that a program saves by sharing or
-loses by doing it twice is in it: it is what the work of two programs is compared by.
+They count acting, the intrinsic rewards, the PPO epochs and one pass of the intrinsic module: a
+forward pass once, a backward pass twice; a multiply-add is two operations. The number does not
+depend on what a program shares or computes twice, so that two programs can be compared by it.
 """
 
 import itertools
@@ -17,19 +17,19 @@ TRAINED = 3  # forward 1 and backward 2
 
 
 def mlp_flops(*widths: int) -> float:
-    """Return the operations of linear layers, from one width to the next."""
+    """Return the operations of consecutive linear layers with these widths."""
     return sum(2.0 * a * b for a, b in itertools.pairwise(widths))
 
 
 def torso_flops(
     convolutions: Sequence[Convolution], hidden: Sequence[int], shape: tuple[int, ...]
 ) -> tuple[float, int, tuple[int, int]]:
-    """Return the operations on one frame, the number of outputs, and the local map's (IJ, C).
+    """Return the operations on one frame, the number of outputs and the local map's (IJ, C).
 
     Args:
-      convolutions: none for vectors.
-      hidden: widths of the hidden layers for vectors.
-      shape: of a frame.
+      convolutions: the convolutions; none for vectors.
+      hidden: the widths of the hidden layers for vectors.
+      shape: the shape of a frame.
     """
     if not convolutions:
         return mlp_flops(prod(shape), *hidden), hidden[-1], (1, hidden[-1])
@@ -56,10 +56,10 @@ def policy_flops(size: Architecture, stack: tuple[int, ...], num_actions: int, h
     """Return the operations of the actor-critic on one stack.
 
     Args:
-      size: of the networks.
+      size: the sizes of the networks.
       stack: the shape of a stack.
-      num_actions: A.
-      heads: K, value heads.
+      num_actions: A, the number of actions.
+      heads: K, the number of value heads.
     """
     total, out, _ = torso_flops(size.convolutions(size.last), size.hidden, stack)
     d = size.features
@@ -72,14 +72,14 @@ def objective_flops(
     """Return the operations of an objective's loss per row, without its encodings.
 
     Args:
-      name: of the objective.
-      size: of the networks.
-      shape: of a frame.
-      num_actions: A.
-      rows: of a minibatch.
+      name: the name of the objective.
+      size: the sizes of the networks.
+      shape: the shape of a frame.
+      num_actions: A, the number of actions.
+      rows: the number of rows of a minibatch.
 
     Returns:
-      None for objectives whose operations were not derived.
+      The operations; None for objectives whose operations were not derived.
     """
     d = size.features
     positions, channels = torso_flops(size.convolutions(size.last), size.hidden, shape)[2]
@@ -108,20 +108,21 @@ def intrinsic_flops(
     """Return the operations of the intrinsic module per environment step: rewards and training.
 
     Args:
-      of: the objective.
-      signal: the signal.
-      size: of the networks.
-      shape: of a frame.
-      num_actions: A.
-      rows: of a minibatch.
-      action_input: the networks take the action as input.
+      of: the name of the objective.
+      signal: the name of the signal.
+      size: the sizes of the networks.
+      shape: the shape of a frame.
+      num_actions: A, the number of actions.
+      rows: the number of rows of a minibatch.
+      action_input: whether the networks take the action as input.
 
     Returns:
-      None where they were not derived: for signals other than distillation and prediction, for
-      BYOL and further objectives, and for prediction where the objective does not read pairs.
+      The operations; None where they were not derived: for signals other than distillation and
+      prediction, for BYOL and further objectives, and for prediction where the objective does not
+      read pairs.
     """
-    # Encodings per row: a frozen encoder sees s_t, SND-V's both views of every eighth row as
-    # well, and the others learn from s_t and s_t+1.
+    # Encodings per row: a frozen encoder reads s_t; SND-V's reads both views of every eighth row
+    # too; the other encoders are trained on s_t and s_t+1.
     encodings = {"none": 1.0, "contrastive": 1 + TRAINED / 4}
     shaping = objective_flops(of, size, shape, num_actions, rows)
     unpaired = signal == "prediction" and of in encodings
@@ -152,18 +153,18 @@ def flops_per_step(
     """Return the operations per environment step.
 
     Args:
-      of: the objective; None: the baseline without a module.
-      signal: the signal.
-      size: of the networks.
-      shape: of a frame.
-      stack: frames in a stack.
-      num_actions: A.
-      epochs: of PPO.
-      rows: of a minibatch.
-      action_input: the networks take the action as input.
+      of: the name of the objective; None for the baseline without a module.
+      signal: the name of the signal.
+      size: the sizes of the networks.
+      shape: the shape of a frame.
+      stack: the number of frames in a stack.
+      num_actions: A, the number of actions.
+      epochs: the number of PPO epochs.
+      rows: the number of rows of a minibatch.
+      action_input: whether the networks take the action as input.
 
     Returns:
-      None where `intrinsic_flops` returns None.
+      The operations; None where `intrinsic_flops` returns None.
 
     >>> from sndjax import ATARI
     >>> f"{flops_per_step('vicreg', 'distillation', ATARI, (96, 96, 1), 4, 18) / 1e9:.2f}"

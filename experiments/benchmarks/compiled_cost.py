@@ -1,7 +1,7 @@
-"""What the compiled updates compute: operations, bytes and memory of every algorithm's program.
+"""The operations, bytes and memory of every algorithm's compiled update.
 
-`tests/experiments/benchmarks/test_compiled_cost.py` holds the programs to committed figures, so
-that work that comes back unseen is seen.
+`tests/experiments/benchmarks/test_compiled_cost.py` compares the programs with committed figures,
+so that an increase of the work is noticed.
 """
 
 import json
@@ -39,7 +39,11 @@ def compiled_figures(name: str) -> dict[str, float]:
 
 
 def check_names(names: list[str]) -> None:
-    """Raise ConfigError unless every name is an algorithm."""
+    """Check that every name is an algorithm.
+
+    Raises:
+      ConfigError: a name is not an algorithm.
+    """
     for name in names:
         if name not in NAMED:
             raise unknown_name_error("algorithm", name, NAMED)
@@ -49,7 +53,7 @@ def print_compiled_cost(names: list[str]) -> None:
     """Print one JSON object with the figures of these algorithms.
 
     Raises:
-      ConfigError: there is no such algorithm.
+      ConfigError: a name is not an algorithm.
     """
     check_names(names)
     found = {name: compiled_figures(name) for name in names}

@@ -1,4 +1,4 @@
-"""A convolution's implementations, timed side by side on one gradient of the policy's network."""
+"""The times of a convolution's implementations in one gradient of the policy's network."""
 
 import time
 from collections.abc import Callable
@@ -46,14 +46,14 @@ def compile_variants(loss: Callable[..., Any], inputs: dict[int, Any]) -> dict[V
     """Compile the gradient of a loss with every implementation.
 
     Args:
-      loss: of one agent.
-      inputs: its arguments, by the number of agents that they are of.
+      loss: the loss of one agent.
+      inputs: the arguments of the loss, by the number of agents.
     """
     names = [WHOLE, NATIVE] if len(inputs) > 1 else [*SLICES, WHOLE, NATIVE]
     compiled = {}
     for count, name in [(count, name) for count in inputs for name in names]:
         print_line(f"compiling: {name}, {count} agent(s)")
-        # A function of its own, or jax would take the program of the variant before.
+        # A new function for each variant: jax would reuse the program of the previous one.
         gradient = jax.grad(lambda params, stacks: loss(params, stacks))
         with convolution_variant(name):
             step = jax.jit(gradient if count == 1 else jax.vmap(gradient))
@@ -65,13 +65,16 @@ def compile_variants(loss: Callable[..., Any], inputs: dict[int, Any]) -> dict[V
 def time_variants(
     compiled: dict[Variant, Any], inputs: dict[int, Any], rounds: int, timer: BenchmarkTimer
 ) -> dict[Variant, list[float]]:
-    """Time all in turn, each round in another order, a matrix product before each round.
+    """Time all variants in turn, in another order each round, after a matrix product.
 
     Args:
-      compiled: the variants.
+      compiled: the compiled variants.
       inputs: their arguments, by the number of agents.
-      rounds: how often each is timed.
-      timer: of the matrix product.
+      rounds: the number of times that each variant is timed.
+      timer: the timer of the matrix product.
+
+    Returns:
+      The seconds of every round, by variant.
     """
     draw = np.random.default_rng(0)
     times: dict[Variant, list[float]] = {variant: [] for variant in compiled}

@@ -1,6 +1,7 @@
-"""What the cells' products and convolutions cost, against PPO's: counted, not timed.
+"""The operations of the algorithms and cells relative to PPO, counted and not timed.
 
-From the program of a whole update and of acting at the thesis configuration.
+The matrix products and convolutions are counted in the program of a whole update and of acting, at
+the thesis configuration.
 """
 
 from collections.abc import Iterator
@@ -34,7 +35,7 @@ def thesis_experiment(
         intrinsic=sndjax.IntrinsicConfig(module) if module else None,
         stack=sndjax.FrameStack(stack),
     )
-    of: Any = jax.ShapeDtypeStruct  # stands for an array
+    of: Any = jax.ShapeDtypeStruct  # the shape and dtype of an array
     frame = lambda *rows: of((*rows, *shape), jnp.uint8)
     key: Any = jax.eval_shape(lambda: jax.random.key(0))
     state = jax.eval_shape(partial(sndjax.init_train_state, agent), key, frame(ENVS))
@@ -63,7 +64,7 @@ def gflop_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
 
 
 def cost_rows() -> Iterator[tuple[str, list[float]]]:
-    """Yield the name of every named algorithm and of many cells, with its costs on both inputs.
+    """Yield every named algorithm and many cells, each with its costs on both inputs.
 
     The cells are every objective with distillation, and every signal on VICReg.
     """
@@ -80,7 +81,7 @@ def cost_rows() -> Iterator[tuple[str, list[float]]]:
 
 
 def print_costs() -> None:
-    """Print the table, a line as soon as it is counted."""
+    """Print the table, each line as soon as it is counted."""
     print(f"{'':<32}{'Atari':>18}{'Procgen':>20}")
     print(f"{'':<32}" + f"{'GFLOP/step':>12}{'x PPO':>8}" * 2)
     base: list[float] = []

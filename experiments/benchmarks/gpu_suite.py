@@ -1,4 +1,4 @@
-"""The thesis' hard games on a GPU for as long as there is time."""
+"""Training of the thesis' hard games on a GPU for a given time."""
 
 import signal
 import subprocess
@@ -15,12 +15,12 @@ PATIENCE = 600.0  # seconds that a run may take from the signal to its checkpoin
 
 
 def jax_backend() -> str:
-    """Return the name of the backend of jax, asked in a process that then releases it."""
+    """Return the name of jax's backend, found by a child process that releases it again."""
     return run_code("import jax; print(jax.default_backend())").stdout.strip()
 
 
 def wait_for_checkpoint(process: subprocess.Popen[bytes]) -> int:
-    """Wait for a run that was sent a SIGTERM; return its status, 0 if the signal ended it."""
+    """Wait for a run after a SIGTERM; return its exit status, or 0 if the signal ended it."""
     try:
         status = process.wait(PATIENCE)
     except subprocess.TimeoutExpired:
@@ -32,17 +32,17 @@ def wait_for_checkpoint(process: subprocess.Popen[bytes]) -> int:
 def train_together(
     pairs: list[tuple[str, str]], out: Path, seconds: float, alone: bool
 ) -> list[int]:
-    """Train side by side for so many seconds, from where the runs stand; return their statuses.
+    """Start or resume runs side by side for some seconds, and return their exit statuses.
 
-    Each gets a SIGTERM, also where this process is stopped, and writes its checkpoint if it has
-    begun.
+    At the end, or if this process is stopped, each run gets a SIGTERM and writes its checkpoint if
+    training has started.
 
     Args:
-      pairs: environments and algorithms.
-      out: where the runs are.
-      seconds: until the SIGTERM.
-      alone: one run has the GPU and the terminal; others leave each other memory, and write to
-        files.
+      pairs: pairs of an environment and an algorithm.
+      out: the directory of the runs.
+      seconds: the time until the SIGTERM.
+      alone: whether one run has the GPU and the terminal; otherwise the runs share the memory of
+        the GPU and write to files.
     """
     end, processes = time.monotonic() + seconds, []
     variables = {} if alone else memory_sharing_variables()
@@ -70,14 +70,14 @@ def train_together(
 def run_suite(
     pairs: list[tuple[str, str]], out: Path, minutes: float, at_once: int, cpu: bool
 ) -> None:
-    """Train everything, each for its share of the time, and write the page.
+    """Train every run for its share of the time, and write the page.
 
     Args:
-      pairs: environments and algorithms.
-      out: where the runs are; called again it resumes them.
-      minutes: for all runs together.
-      at_once: runs side by side.
-      cpu: also where jax sees no GPU.
+      pairs: pairs of an environment and an algorithm.
+      out: the directory of the runs; runs that are already there are resumed.
+      minutes: the time of all runs together.
+      at_once: the number of runs side by side.
+      cpu: whether to train even if jax sees no GPU.
 
     Raises:
       ConfigError: there is no GPU, or runs failed.

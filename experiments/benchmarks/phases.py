@@ -1,4 +1,4 @@
-"""Where the time of an iteration goes: each phase timed on some of its minibatches."""
+"""The time of each phase of an iteration, measured on some of its minibatches."""
 
 import json
 import resource
@@ -30,7 +30,7 @@ from ..training.experiment import build_experiment
 from .analytic_flops import flops_per_step
 from .timing import BenchmarkTimer, device_name, print_line
 
-MINIBATCHES = 3  # that a phase is timed on: a call's start costs a tenth of one
+MINIBATCHES = 3  # that a phase is timed on; the start of a call costs a tenth of one
 PHASES = ("environment", "acting", "rewards", "policy", "motivation")
 
 
@@ -45,7 +45,7 @@ def timed_steps(config: Config) -> int:
 
 
 def first_steps(batch: sndjax.Experience, steps: int) -> sndjax.Experience:
-    """Return the first steps of a batch."""
+    """Return the first `steps` steps of a batch."""
     rollout = batch.rollout._replace(frames=batch.rollout.frames[: steps + 1])
     rollout = rollout._replace(**{n: getattr(rollout, n)[:steps] for n in rollout._fields[1:]})
     own = {n: getattr(batch, n)[:steps] for n in ("reward", "truncated", "log_prob")}
@@ -56,7 +56,7 @@ class PhaseBenchmark:
     """An agent with its environments, and one rollout of them."""
 
     def __init__(self, config: Config):
-        """Make everything, and collect one rollout."""
+        """Build the agent and its environments, and collect one rollout."""
         self.timer = BenchmarkTimer()
         self.timer.time_product()  # compiled here, and not counted
         self.timer.products.clear()
@@ -68,11 +68,11 @@ class PhaseBenchmark:
         self.batch, _ = self.collector.collect(self.actor())
 
     def actor(self) -> sndjax.Actor:
-        """Return the part of the states that acts now."""
+        """Return the part of the current states that is needed to act."""
         return sndjax.Actor(self.states.policy, self.states.observations, self.states.key)
 
     def phase_seconds(self) -> dict[str, float]:
-        """Time each phase of a whole iteration, from some of its steps and minibatches."""
+        """Estimate the seconds of each phase of an iteration from some steps and minibatches."""
         steps = timed_steps(self.config)
         found = self.collecting_seconds(steps)
         config, agent = self.config, self.agent
@@ -91,7 +91,7 @@ class PhaseBenchmark:
         return found
 
     def collecting_seconds(self, steps: int) -> dict[str, float]:
-        """Time stepping and acting, one after the other; with two pools a run does them at once."""
+        """Time stepping and acting one after the other; in a run with two pools they overlap."""
         config = self.config
         times = config.rollout_length / steps
         pool_states, pool = self.collector.pool_states, self.experiment.pool
@@ -164,20 +164,20 @@ class PhaseBenchmark:
         return self.timer.seconds(work)
 
     def compile_update(self) -> tuple[Any, float, float]:
-        """Compile the whole update; return it, and the seconds without the cache and with it."""
+        """Compile the update; return it, and the seconds without and with the compilation cache."""
         step = jax.jit(self.experiment.make_train_step(), donate_argnums=0)
         gone = []
-        for cached in (False, True, True):  # the first with the cache may have to fill it
+        for cached in (False, True, True):  # the first with the cache may fill it
             jax.config.update("jax_enable_compilation_cache", cached)
-            compilation_cache.reset_cache()  # jax asks once whether there is one
-            jax.clear_caches()  # and keeps what it compiled
+            compilation_cache.reset_cache()  # jax checks only once whether there is a cache
+            jax.clear_caches()  # compiled programs are also kept in memory
             begun = time.perf_counter()
             compiled = step.lower(self.states, self.batch).compile()
             gone.append(time.perf_counter() - begun)
         return compiled, gone[0], gone[2]
 
     def whole_seconds(self, update: Any) -> tuple[float, float]:
-        """Time collecting and learning of one real iteration, after one that is not counted."""
+        """Time collecting and learning of one real iteration, after one that is not timed."""
         for _ in range(2):
             begun = time.perf_counter()
             batch, _ = self.collector.collect(self.actor())
@@ -193,9 +193,9 @@ def config_gflop_per_step(
     """Return 10^9 analytic operations per environment step; None where they were not derived.
 
     Args:
-      config: of the run.
-      agent: its networks.
-      shape: of a frame.
+      config: the configuration of the run.
+      agent: the agent, for its networks.
+      shape: the shape of a frame.
     """
     if config.algo.module is not None:
         return None
@@ -214,7 +214,7 @@ def config_gflop_per_step(
 
 
 def measure(config: Config, whole: bool) -> dict[str, Any]:
-    """Measure everything that is printed."""
+    """Measure a configuration, and return all figures."""
     print_line(f"{config.env.name} {config.algo.name}: matrix product, environments, a rollout")
     bench = PhaseBenchmark(config)
     phases = bench.phase_seconds()
@@ -256,7 +256,7 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
 
 
 def phase_table(measured: dict[str, Any]) -> str:
-    """Format the figures as a table."""
+    """Format the figures of `measure` as a table."""
     per_1000 = measured["seconds_per_1000_steps"]
     whole = sum(per_1000.values())
     lines = [f"{'phase':<14}{'s / 1,000 steps':>16}{'share':>8}"]

@@ -1,4 +1,4 @@
-"""How often an agent that draws its actions uniformly is rewarded."""
+"""The rewards of an agent that draws its actions uniformly."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from ..system.errors import ConfigError
 def repeat_actions(
     rng: np.random.Generator, last: np.ndarray, actions: int, new: float
 ) -> np.ndarray:
-    """Return the next actions, int64[N]: the last ones, or with probability `new` new draws.
+    """Return the next actions, int64[N]: the last actions or, with probability `new`, draws.
 
     Args:
       rng: the random generator.
       last: the last actions.
-      actions: A.
+      actions: A, the number of actions.
       new: the probability of a new draw.
     """
     drawn = rng.integers(0, actions, last.shape)
@@ -24,7 +24,7 @@ def repeat_actions(
 
 
 def play_random(config: Config, keep: float) -> tuple[np.ndarray, np.ndarray, int | None]:
-    """Play with random actions.
+    """Play `total_steps` steps with random actions.
 
     Returns:
       The returns float64[E] and lengths int64[E] of the episodes that ended, and the number of
@@ -59,7 +59,7 @@ def play_random(config: Config, keep: float) -> tuple[np.ndarray, np.ndarray, in
 
 
 def print_random_agent(config: Config, keep: float) -> None:
-    """Play total_steps at random, and print how many episodes were rewarded.
+    """Play `total_steps` steps at random, and print how many episodes were rewarded.
 
     Raises:
       ConfigError: no episode ended.

@@ -1,4 +1,4 @@
-"""The benchmark of each algorithm beside the committed figures."""
+"""The benchmark of each algorithm, compared with the committed figures."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,11 @@ RESULTS = ROOT / "docs" / "results"
 
 
 def run_bench(*options: str) -> dict[str, Any]:
-    """Run one benchmark in a process of its own, and return its figures."""
+    """Run one benchmark in a separate process, and return its figures.
+
+    Raises:
+      subprocess.CalledProcessError: the benchmark failed.
+    """
     done = run_command_line("bench", "env=Venture", *options, captured=True)
     done.check_returncode()
     return json.loads(done.stdout.splitlines()[-1])
@@ -24,14 +28,14 @@ def results_file(platform: str) -> Path:
 
 
 def print_suite(names: list[str], write: bool) -> None:
-    """Run each benchmark in a process of its own, and print a line for each.
+    """Run each benchmark in a separate process, and print a line for each.
 
     Args:
-      names: the algorithms.
-      write: replace the committed figures.
+      names: the names of the algorithms.
+      write: whether to replace the committed figures.
 
     Raises:
-      ConfigError: there are no figures of an algorithm.
+      ConfigError: a name is not one of `ALGORITHMS`.
     """
     if unknown := set(names) - set(ALGORITHMS):
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""What a sweep of the thesis' size costs, on paper."""
+"""The estimated cost of a sweep of the thesis' size."""
 
 import heapq
 import json
@@ -18,25 +18,25 @@ from ..system.display import ProgressBars
 from .counted_flops import INPUTS, gflop_per_step, thesis_experiment
 from .suite import results_file
 
-REFERENCE = "snd_vic"  # of algorithms that have no benchmark
-LOG_BYTES = 1100  # of a line of metrics.jsonl, with TensorBoard's copy of its figures twice that
+REFERENCE = "snd_vic"  # whose benchmark is used for algorithms without one
+LOG_BYTES = 1100  # of a line of metrics.jsonl; TensorBoard's copy of its figures takes twice that
 ROLLOUT_MB = {"Atari": 129 * 128 * 96 * 96 / 1e6, "Procgen": 129 * 128 * 64 * 64 * 3 / 1e6}
 KEPT = 3  # checkpoints: the newest two and the best
 HOUR = 3600.0
 
 
 class RunCost(NamedTuple):
-    """What the runs of one algorithm on one kind of input cost."""
+    """The cost of the runs of one algorithm on one kind of input."""
 
     runs: int
-    steps: int  # of each
+    steps: int  # of each run
     gflop: float  # per step
     state_mb: float
     iterations: int
 
 
 def sweep_costs(sweep: str) -> dict[tuple[str, str], RunCost]:
-    """Return the cost of the runs of a sweep, by algorithm and family."""
+    """Return the cost of the runs of a sweep, by algorithm and family of environments."""
     params = compose_hydra([f"sweep={sweep}"]).sweeper.params
     listed = jobs.expand_product([f"{key}={value}" for key, value in params.items()])
     runs = Counter(tuple(one for one in own if not one.startswith("seed=")) for own in listed)
@@ -55,7 +55,7 @@ def sweep_costs(sweep: str) -> dict[tuple[str, str], RunCost]:
 
 @cache
 def work_and_state(algo: str, family: str) -> tuple[float, float]:
-    """Return 10^9 operations per step, and the megabytes of a seed's state."""
+    """Return the operations per step in 10^9, and the size of a seed's state in MB."""
     size, _, _, actions = INPUTS[family]
     make: Any = NAMED[algo]
     module = make(actions, size) if make else None
@@ -65,7 +65,7 @@ def work_and_state(algo: str, family: str) -> tuple[float, float]:
 
 
 def makespan(hours: list[float], machines: int) -> float:
-    """Return the hours until the last run ends, the longest started first.
+    """Return the hours until the last run ends if the longest runs start first.
 
     >>> makespan([3.0, 2.0, 2.0, 1.0], 2)
     4.0
@@ -77,10 +77,10 @@ def makespan(hours: list[float], machines: int) -> float:
 
 
 class Rates(NamedTuple):
-    """What was measured.
+    """The measured rates.
 
     Attributes:
-      cpu: of the algorithms that have a benchmark on two cores, its figures.
+      cpu: the figures of the benchmarks on two cores, by algorithm.
       gpu: steps per second on a GPU, by algorithm; empty where none was measured.
       pool: steps per second of the environments on the cores beside a GPU.
     """
@@ -91,16 +91,16 @@ class Rates(NamedTuple):
 
     @property
     def slowest_gpu(self) -> float:
-        """The rate of what was not measured on a GPU."""
+        """The rate of algorithms that were not measured on a GPU."""
         return min(self.gpu.values(), default=self.pool)
 
 
 def read_rates(cores: int) -> Rates:
-    """Return the committed figures, for this many cores beside each GPU."""
+    """Return the committed rates, with `cores` processor cores beside each GPU."""
     cpu = json.loads(results_file("cpu").read_text())
     path = results_file("gpu")
     raw = json.loads(path.read_text()) if path.exists() else {}
-    # Whole iterations where they were timed; not of several seeds at once.
+    # Whole iterations if they were timed; benchmarks of several seeds are left out.
     gpu = {
         name: one.get("whole_steps_per_second", one["steps_per_second"])
         for name, one in raw.items()
@@ -111,13 +111,13 @@ def read_rates(cores: int) -> Rates:
 
 
 class SweepTotals(NamedTuple):
-    """What all runs of a sweep need together.
+    """The needs of all runs of a sweep.
 
     Attributes:
-      slow: hours of every run on two cores.
-      fast: hours of every run on a GPU.
-      disk: MB.
-      tflops: 10^12 operations per second that the heaviest algorithm asks of a GPU.
+      slow: the hours of every run on two cores.
+      fast: the hours of every run on a GPU.
+      disk: the disk space of all runs, in MB.
+      tflops: the 10^12 operations per second that the heaviest algorithm needs from a GPU.
     """
 
     slow: list[float]
@@ -127,7 +127,7 @@ class SweepTotals(NamedTuple):
 
 
 def algorithm_rows(sweep: str, rates: Rates) -> tuple[list[str], SweepTotals]:
-    """Return the table of the sweep's algorithms, a line each, and what all need together."""
+    """Return the lines of the table of algorithms, and the needs of all runs together."""
     lines = [
         "| algorithm | input | runs | steps, millions | GFLOP a step | state, MB | GPU memory, MB "
         "| disk, MB | hours on two cores | GPU hours |",
@@ -157,12 +157,12 @@ def algorithm_rows(sweep: str, rates: Rates) -> tuple[list[str], SweepTotals]:
 
 
 def budget_tables(sweep: str, cores: int, gpu_tflops: float) -> str:
-    """Return the tables, in Markdown.
+    """Return the tables of the estimate, in Markdown.
 
     Args:
-      sweep: a file of conf/sweep.
-      cores: processor cores beside each GPU.
-      gpu_tflops: peak of one GPU, 10^12 operations per second.
+      sweep: the name of a file in conf/sweep.
+      cores: the number of processor cores beside each GPU.
+      gpu_tflops: the peak rate of one GPU, in 10^12 operations per second.
     """
     rates = read_rates(cores)
     lines, totals = algorithm_rows(sweep, rates)

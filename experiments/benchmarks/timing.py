@@ -1,4 +1,4 @@
-"""Timing work beside a matrix product, on machines that are not always as fast."""
+"""Time measurement relative to a matrix product, for machines of changing speed."""
 
 import os
 import platform
@@ -12,16 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 REPEATS = 3
-MATMUL_SIZE = 4096  # of the matrix product
+MATMUL_SIZE = 4096  # rows and columns of the matrices in the product
 
 
 def print_line(text: str) -> None:
-    """Print a line at once."""
+    """Print a line, and flush the output."""
     print(text, flush=True)
 
 
 class BenchmarkTimer:
-    """Times some work, and a matrix product beside it: a shared machine is not always as fast."""
+    """A timer of work and of a matrix product, because a shared machine changes its speed."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
@@ -40,7 +40,10 @@ class BenchmarkTimer:
         return 2 * MATMUL_SIZE**3 / float(np.median(self.products)) / 1e9
 
     def seconds(self, work: Callable[[], Any]) -> float:
-        """Return the median time of the work, after an untimed run and a product before each."""
+        """Return the median seconds of the work.
+
+        The work first runs once untimed; a matrix product is timed before each timed run.
+        """
         jax.block_until_ready(work())
         times = []
         for _ in range(REPEATS):
@@ -52,7 +55,7 @@ class BenchmarkTimer:
 
 
 def device_name() -> str:
-    """Return the name of the device: jax's, or the CPU's model and cores."""
+    """Return the name of the device: jax's name, or the CPU's model and number of cores."""
     if jax.default_backend() != "cpu":
         return jax.devices()[0].device_kind
     try:

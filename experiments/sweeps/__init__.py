@@ -1,5 +1,5 @@
-"""Many runs by Hydra's multirun: which jobs there are, how far each is, how each is run.
+"""Sweeps by Hydra's multirun: the list of jobs, the state of each job, and how a job is run.
 
-Every job is a process of its own, started as `sndjax run` would be; a sweep knows its jobs by their
-files only.
+Every job is a separate process, started like `sndjax run`. A sweep reads the state of its jobs only
+from their files.
 """

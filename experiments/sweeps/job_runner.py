@@ -1,4 +1,4 @@
-"""One job of a sweep, as a launcher runs it: a process of its own, its lock, and how it ended."""
+"""The runner of one job of a sweep: its process, its lock, and the record of its end."""
 
 import itertools
 import os
@@ -33,34 +33,34 @@ from .jobs import (
 )
 
 SEARCH_METRIC = (
-    "mean_ext_return"  # what a search maximises: it counts how early as well as how often
+    "mean_ext_return"  # what a search maximises: it measures how early and how often reward comes
 )
-STOP_FILE = "stop"  # a file: no job begins, and those that run are asked to end
-FAILURE_PREFIX = "job"  # the first word of a job's failure
+STOP_FILE = "stop"  # while this file exists, no job starts, and running jobs are asked to stop
+FAILURE_PREFIX = "job"  # the first word of the error message of a failed job
 PATIENCE = 60.0  # seconds that a run may take to end after its worker was killed
-MEMORY = 3 << 30  # bytes that a run may take (docs/results/speed.md)
+MEMORY = 3 << 30  # bytes of memory that a run may need (docs/results/speed.md)
 
 
 class JobFailed(CompactHydraException):
-    """A job's run did not finish; raised where it ran, so that its launcher knows."""
+    """The error of a job that did not finish, raised where it ran, for the launcher."""
 
 
 @dataclass(frozen=True)
 class JobRunner:
-    """What a launcher runs: one job, in a process of its own. It can be sent to a worker."""
+    """The task function of a launcher: runs one job. It can be sent to a worker process."""
 
     directory: str
     start: str  # the directory that the sweep was started in
-    starter: int  # the process that did
+    starter: int  # the id of the process that started the sweep
     swept: tuple[str, ...]  # the keys that a search gives values to
     threads: int
-    gpus: tuple[str, ...]  # that jobs share out among them
+    gpus: tuple[str, ...]  # the GPUs that the jobs share
 
     def __call__(self, config: DictConfig) -> float | None:
-        """Run the job that Hydra's job names; the figure that a search goes by.
+        """Run the job of a Hydra configuration, and return the metric that a search maximises.
 
         Raises:
-          JobFailed: why it did not finish.
+          JobFailed: the job did not finish (the message says why), or a search gets no metric.
         """
         directory = Path(self.directory)
         job = self.find_job(directory, config)
@@ -83,11 +83,11 @@ class JobRunner:
         return value
 
     def find_job(self, directory: Path, config: DictConfig) -> Job:
-        """Return the job to run: one that was listed, or the next one of a search."""
+        """Return the job to run: a listed job, or the next job of a search."""
         if name := config.get("job"):
             return read_job(job_file(directory, name, "json"))[0]
         overrides, _ = split_hydra_arguments(HydraConfig.get().overrides.task)
-        GlobalHydra.instance().clear()  # the job's own is not asked again; `load` makes another
+        GlobalHydra.instance().clear()  # `make_job` composes with a new instance
         job = make_job(job_name(overrides, self.swept), overrides)
         path = job_file(directory, job.name, "json")
         known = read_job(path)[0] if path.exists() else None
@@ -98,15 +98,15 @@ class JobRunner:
         return job
 
     def run(self, directory: Path, job: Job, log: int) -> None:
-        """Start the job's run or resume it, and keep how it ended.
+        """Start or resume the job's run, and record its exit status.
 
         Args:
-          directory: of the sweep.
-          job: what to run.
-          log: its log, open and locked.
+          directory: the directory of the sweep.
+          job: the job to run.
+          log: the file descriptor of the job's log, open and locked.
 
         Raises:
-          JobFailed: why it did not finish.
+          JobFailed: the run did not finish; the message says why.
         """
         run_dir = directory / job.name
         if summary_metric(run_dir, SEARCH_METRIC)[0] >= job.total:
@@ -127,7 +127,7 @@ class JobRunner:
             write_job(directory, job, pid=process.pid)
             try:
                 status = wait_or_stop(process, directory / STOP_FILE)
-            except BaseException:  # whatever a launcher raises in its workers at a time limit
+            except BaseException:  # launchers raise various errors in workers at a time limit
                 process.terminate()
                 status = process.wait()
                 raise
@@ -141,7 +141,7 @@ class JobRunner:
 
     @contextmanager
     def device(self) -> Iterator[dict[str, str]]:
-        """Yield the environment that shows a run one GPU that no other job uses, if any."""
+        """Yield environment variables that show a run one GPU, if possible an unused one."""
         locks = Path(tempfile.gettempdir()) / f"sndjax-gpus-{os.getuid()}"
         for name in self.gpus:
             with lock_job(locks, name) as own:
@@ -158,8 +158,8 @@ class JobRunner:
 def ignore_worker_signals(worker: bool) -> Iterator[None]:
     """Return a context in which started processes ignore SIGUSR2 (Slurm's time limit).
 
-    The worker answers that signal and ends its run in order. From here on a worker ignores a
-    terminal's Ctrl-C, which the sweep answers.
+    A worker handles that signal itself and lets its run write a checkpoint. From then on a worker
+    ignores Ctrl-C in the terminal, which the main process of the sweep handles.
     """
     if not worker or threading.current_thread() is not threading.main_thread():
         yield
@@ -173,7 +173,7 @@ def ignore_worker_signals(worker: bool) -> Iterator[None]:
 
 
 def wait_or_stop(process: subprocess.Popen[bytes], stop: Path) -> int:
-    """Wait for a run, and return its status; send it a SIGTERM when the sweep is to stop."""
+    """Wait for a run, and return its exit status; send it SIGTERM if the stop file appears."""
     asked = False
     while True:
         with suppress(subprocess.TimeoutExpired):
@@ -184,7 +184,7 @@ def wait_or_stop(process: subprocess.Popen[bytes], stop: Path) -> int:
 
 
 def failure_reason(lines: list[str], status: int) -> str:
-    """Return why a run failed: the last error in its log."""
+    """Return the reason of a failed run: the last error in its log."""
     if status < 0:
         return f"killed by {signal.Signals(-status).name}"
     own = [line.removeprefix("sndjax: ") for line in lines if line.startswith("sndjax: ")]
@@ -192,15 +192,15 @@ def failure_reason(lines: list[str], status: int) -> str:
 
 
 def thread_variables(count: int) -> dict[str, str]:
-    """Return the environment of a process that computes with so many threads."""
+    """Return the environment variables of a process that computes with `count` threads."""
     names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     return dict.fromkeys(names, str(count))
 
 
 def memory_sharing_variables() -> dict[str, str]:
-    """Return the environment of a process that shares a GPU's memory with others.
+    """Return the environment variables of a process that shares a GPU's memory with others.
 
-    By default jax reserves three quarters of it at once.
+    By default jax reserves three quarters of the memory at its start.
     """
     name = "XLA_PYTHON_CLIENT_PREALLOCATE"
     return {name: os.environ.get(name, "false")}
@@ -216,7 +216,7 @@ def visible_gpus() -> tuple[str, ...]:
 
 
 def launcher_resources(launcher: DictConfig, gpus: Sequence[str]) -> tuple[list[str], int]:
-    """Return further options of a launcher, and the number of threads of each of its jobs."""
+    """Return more options for a launcher, and the number of threads of each job."""
     cores = len(os.sched_getaffinity(0))
     if "n_jobs" in launcher:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

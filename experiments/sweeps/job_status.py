@@ -1,6 +1,6 @@
-"""How far each job of a sweep is, by its run directory, its lock and its last run.
+"""The state of each job of a sweep, from its run directory, its lock and its last run.
 
-Whoever runs a job holds a lock on its log, which the kernel releases with the process.
+The process that runs a job holds a lock on the job's log; the kernel releases it with the process.
 """
 
 import fcntl
@@ -26,25 +26,28 @@ DONE, RUNNING, STOPPED, FAILED, WAITING = STATES = (
 
 
 class JobStatus(NamedTuple):
-    """How far a job is."""
+    """The state of a job."""
 
     job: Job
     state: str  # one of STATES
-    step: int  # per seed
+    step: int  # steps per seed so far
     last100: float | None  # the mean over seeds of the return of the last 100 episodes
-    reason: str  # of a failure
+    reason: str  # why it failed, or ""
 
 
 @contextmanager
 def lock_job(directory: Path, name: str, patience: float = 0.0) -> Iterator[int | None]:
-    """Lock a job, and yield its open log; None if another process keeps the lock.
+    """Lock a job, and yield its open log, or None if another process holds the lock.
 
-    A run whose worker was killed keeps the lock too, until it has written its checkpoint.
+    A run whose worker was killed also holds the lock, until it has written its checkpoint.
 
     Args:
-      directory: of the sweep.
-      name: of the job.
-      patience: seconds to wait for the lock.
+      directory: the directory of the sweep.
+      name: the name of the job.
+      patience: the seconds to wait for the lock.
+
+    Raises:
+      ConfigError: the file system has no locks.
     """
     path = job_file(directory, name, "log")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +65,11 @@ def lock_job(directory: Path, name: str, patience: float = 0.0) -> Iterator[int 
 
 
 def try_lock(file: int, kind: int) -> bool:
-    """Return True if the lock of an open file was free, and is now held."""
+    """Lock an open file if its lock is free, and return whether it is now held.
+
+    Raises:
+      ConfigError: the file system has no locks.
+    """
     try:
         fcntl.flock(file, kind | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -75,7 +82,7 @@ def try_lock(file: int, kind: int) -> bool:
 
 
 def is_locked(directory: Path, name: str) -> bool:
-    """Return True if a process runs the job."""
+    """Return True if a process runs the job now."""
     try:
         with job_file(directory, name, "log").open() as log:
             return not try_lock(log.fileno(), fcntl.LOCK_SH)
@@ -84,12 +91,12 @@ def is_locked(directory: Path, name: str) -> bool:
 
 
 def job_status(directory: Path, job: Job, last: dict[str, Any]) -> JobStatus:
-    """Return how far a job is, by its run directory, its lock and its last run.
+    """Return the state of a job, from its run directory, its lock and its last run.
 
     Args:
-      directory: of the sweep.
-      job: which one.
-      last: what is recorded of its last run.
+      directory: the directory of the sweep.
+      job: the job.
+      last: the recorded data of its last run.
     """
     line = last_metrics_line(directory / job.name / "metrics.jsonl")
     steps, last100 = summary_metric(directory / job.name, "last100_ext_return")
@@ -101,19 +108,23 @@ def job_status(directory: Path, job: Job, last: dict[str, Any]) -> JobStatus:
         return JobStatus(job, DONE, step, last100, "")
     if is_locked(directory, job.name):
         return JobStatus(job, RUNNING, step, line.get("last100_ext_return"), "")
-    if last.get("status") in (None, 0, 130, 143):  # 0: it was shorter then
+    if last.get("status") in (None, 0, 130, 143):  # 0: that run had fewer steps to do
         state = STOPPED if step or "pid" in last else WAITING
         return JobStatus(job, state, step, last100, "")
     return JobStatus(job, FAILED, step, last100, reason)
 
 
 def job_statuses(directory: Path) -> list[JobStatus]:
-    """Return how far every job of a sweep is."""
+    """Return the state of every job of a sweep.
+
+    Raises:
+      ConfigError: the directory holds no sweep, or the file system has no locks.
+    """
     return [job_status(directory, job, last) for job, last in read_jobs(directory)]
 
 
 def summary_metric(run: Path, name: str) -> tuple[int, float | None]:
-    """Return a run's steps per seed, and the mean over seeds of one figure of its summary."""
+    """Return a run's steps per seed, and the mean over seeds of one metric of its summary."""
     try:
         seeds = read_summary(run)
         values = [seed[name] for seed in seeds if seed[name] is not None]
@@ -124,7 +135,7 @@ def summary_metric(run: Path, name: str) -> tuple[int, float | None]:
 
 
 def last_metrics_line(path: Path, size: int = 1 << 16) -> dict[str, Any]:
-    """Return the last complete object of a log; an empty one if there is none."""
+    """Return the last complete JSON line of a log, or {} if there is none."""
     try:
         with path.open("rb") as file:
             file.seek(max(0, path.stat().st_size - size))

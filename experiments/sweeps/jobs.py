@@ -1,6 +1,6 @@
 """The jobs of a sweep: their names, their overrides, their files.
 
-A job's run is <sweep>/<name>, its own files are <sweep>/cells/<name>.json and .log.
+The run of a job is <sweep>/<name>; its record and log are <sweep>/cells/<name>.json and .log.
 """
 
 import json
@@ -23,11 +23,11 @@ from ..system.display import ProgressBars
 from ..system.errors import ConfigError
 from ..system.files import safe_file_name, write_atomically
 
-FILES = "cells"  # the folder keeps the name that earlier sweeps gave it
+FILES = "cells"  # the folder has the name from earlier versions, for their sweeps
 SWEEP_OWNED = ("run_dir", "resume", "repeat")  # a sweep sets these itself
-NAME_KEYS = ("env", "env.id", "algo", "algo.module", "seed")  # what stands in a job's name anyway
-FEW = 20  # jobs that are checked in a moment
-MANY_SEEDS = 1 << 30  # below it a seed is fine whatever else is set
+NAME_KEYS = ("env", "env.id", "algo", "algo.module", "seed")  # keys that are always in a job's name
+FEW = 20  # so many jobs are checked without a progress bar
+MANY_SEEDS = 1 << 30  # seeds below it are valid with any other settings
 
 
 class Job(NamedTuple):
@@ -36,11 +36,11 @@ class Job(NamedTuple):
     name: str  # <env>/<algo>/<seed>, and the other swept keys after it
     overrides: list[str]  # the arguments of `sndjax run`
     total: int  # steps per seed
-    problem: str | None  # why it cannot run
+    problem: str | None  # why the job cannot run
 
 
 def expand_jobs(arguments: Sequence[str]) -> list[Job]:
-    """Return the jobs of a command line with several values, each validated.
+    """Return the validated jobs of a command line whose keys may have several values.
 
     Raises:
       ConfigError: the command line cannot be read, or two jobs would have one directory.
@@ -58,7 +58,10 @@ def expand_jobs(arguments: Sequence[str]) -> list[Job]:
 
 
 def expand_product(arguments: Sequence[str]) -> list[list[str]]:
-    """Return every combination of the values, as Hydra's own sweeper makes them.
+    """Return every combination of the values, in the order of Hydra's basic sweeper.
+
+    Raises:
+      ConfigError: the command line cannot be read, or has values that only a search accepts.
 
     >>> expand_product(["env=Venture", "seed=0,9"])
     [['env=Venture', 'seed=0'], ['env=Venture', 'seed=9']]
@@ -71,7 +74,11 @@ def expand_product(arguments: Sequence[str]) -> list[list[str]]:
 
 
 def split_hydra_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split a command line into our options and Hydra's."""
+    """Split a command line into our options and Hydra's.
+
+    Raises:
+      ConfigError: an argument is not key=value, or there is no such sweep.
+    """
     left = [argument for argument in arguments if argument not in ("-m", "--multirun")]
     hydras = [a for a in left if a.lstrip("+~").startswith(("hydra", "sweep="))]
     for argument in left:
@@ -84,7 +91,11 @@ def split_hydra_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str
 
 
 def parse_sweep(arguments: Sequence[str]) -> dict[str, Override]:
-    """Return the overrides of a sweep by key; of a repeated key, the last."""
+    """Return the overrides of a sweep by key; for a repeated key, the last.
+
+    Raises:
+      ConfigError: the arguments cannot be read, or set a key that the sweep sets itself.
+    """
     try:
         found = OverridesParser.create().parse_overrides(list(arguments))
     except HydraException as error:
@@ -99,14 +110,18 @@ def parse_sweep(arguments: Sequence[str]) -> dict[str, Override]:
 
 
 def swept_keys(arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the keys that have several values."""
+    """Return the keys that have several values.
+
+    Raises:
+      ConfigError: see `parse_sweep`.
+    """
     return tuple(
         k for k, override in parse_sweep(arguments).items() if override.is_sweep_override()
     )
 
 
 def make_job(name: str, overrides: Sequence[str]) -> Job:
-    """Return a job, with the reason why it cannot run, if that is known before it runs."""
+    """Make a job, with the reason why it cannot run if its configuration is not valid."""
     given = parse_sweep(overrides).get("seed")
     seed: Any = 0 if given is None else given.value()
     plain = type(seed) is int and 0 <= seed < MANY_SEEDS
@@ -114,9 +129,9 @@ def make_job(name: str, overrides: Sequence[str]) -> Job:
     return Job(name, list(overrides), *validate_overrides(tuple(others)))
 
 
-@lru_cache(1 << 14)  # to compose a configuration takes a tenth of a second
+@lru_cache(1 << 14)  # composing a configuration takes a tenth of a second
 def validate_overrides(overrides: tuple[str, ...]) -> tuple[int, str | None]:
-    """Return the steps per seed that the overrides ask for, and what is wrong with them."""
+    """Return the steps per seed of a configuration, and the error message if it is invalid."""
     try:
         config = load_config(list(overrides))
     except ConfigError as error:
@@ -125,7 +140,7 @@ def validate_overrides(overrides: tuple[str, ...]) -> tuple[int, str | None]:
 
 
 def job_name(overrides: Sequence[str], swept: Sequence[str]) -> str:
-    """Return the name of a job, which is its directory within the sweep's.
+    """Return the name of a job, which is also its directory within the sweep.
 
     >>> job_name(["env=Venture", "algo=rnd", "seed=9", "algo.eta=0.5"], ["seed", "algo.eta"])
     'Venture/rnd/9,algo.eta=0.5'
@@ -144,12 +159,12 @@ def job_name(overrides: Sequence[str], swept: Sequence[str]) -> str:
 
 
 def find_conflict(directory: Path, job: Job, before: Job | None) -> str | None:
-    """Return why a job's directory holds another job's run; None if it does not.
+    """Return the error message if a job's directory holds another job's run, or None.
 
     Args:
-      directory: of the sweep.
-      job: which one.
-      before: the job of this name that was recorded before, if any.
+      directory: the directory of the sweep.
+      job: the job.
+      before: the job that was recorded before with this name, if any.
     """
     place = directory / job.name
     free = lambda own: sorted(o for o in own if o.partition("=")[0].lstrip("+") not in CHANGEABLE)
@@ -169,25 +184,25 @@ def quote_path(path: Path) -> str:
 
 
 def job_file(directory: Path, name: str, kind: str) -> Path:
-    """Return the path of a job's own file.
+    """Return the path of a job's record or log.
 
     Args:
-      directory: of the sweep.
-      name: of the job.
+      directory: the directory of the sweep.
+      name: the name of the job.
       kind: "json" or "log".
     """
     return directory / FILES / f"{name}.{kind}"
 
 
 def write_job(directory: Path, job: Job, **more: Any) -> None:
-    """Write the record of a job, with what is known of its last run."""
+    """Write the record of a job, with the data of its last run as `more`."""
     path = job_file(directory, job.name, "json")
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps(job._asdict() | more) + "\n")
 
 
 def read_job(path: Path) -> tuple[Job, dict[str, Any]]:
-    """Return a recorded job, with what is known of its last run.
+    """Return a recorded job, and the data of its last run.
 
     Raises:
       ConfigError: the file is not the record of a job.
@@ -200,10 +215,10 @@ def read_job(path: Path) -> tuple[Job, dict[str, Any]]:
 
 
 def read_jobs(directory: Path) -> list[tuple[Job, dict[str, Any]]]:
-    """Return every recorded job of a sweep, with what is known of its last run.
+    """Return every recorded job of a sweep, and the data of its last run.
 
     Raises:
-      ConfigError: there is no sweep here.
+      ConfigError: the directory holds no sweep, or a file is not the record of a job.
     """
     found = [read_job(path) for path in sorted((directory / FILES).rglob("*.json"))]
     if not found:

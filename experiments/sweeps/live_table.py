@@ -1,4 +1,4 @@
-"""One view of a sweep: a table of its jobs, kept up to date while they run."""
+"""A live table of the jobs of a sweep, updated while they run."""
 
 import threading
 import time
@@ -14,13 +14,13 @@ from ..system.display import format_duration, format_number
 from ..system.errors import ConfigError
 from .job_status import FAILED, RUNNING, STATES, WAITING, JobStatus, job_statuses
 
-LOOK_SECONDS = 2  # between two looks at the jobs
-QUIET_SECONDS = 30  # between two lines, where there is no terminal
+LOOK_SECONDS = 2  # between two reads of the state of the jobs
+QUIET_SECONDS = 30  # between two summary lines if there is no terminal
 COLOURS = dict(zip(STATES, ("green", "cyan", "yellow", "red", "bright_black"), strict=True))
 
 
 def status_table(statuses: list[JobStatus]) -> str:
-    """Format the jobs and their states as plain lines."""
+    """Format the jobs and their states as lines of text."""
     width = max((len(s.job.name) for s in statuses), default=4)
     lines = [f"{'job':<{width}}  {'state':<8}{'steps':>12}{'of':>14}  last-100 return"]
     for s in statuses:
@@ -33,7 +33,7 @@ def status_table(statuses: list[JobStatus]) -> str:
 
 
 def count_states(statuses: list[JobStatus]) -> str:
-    """Format how many jobs are in each state.
+    """Format the number of jobs in each state.
 
     >>> from experiments.sweeps.jobs import Job
     >>> job = Job("Venture/rnd/0", [], 10, None)
@@ -45,14 +45,14 @@ def count_states(statuses: list[JobStatus]) -> str:
 
 
 class LiveTable:
-    """Shows a sweep's jobs while they run; it reads their files in a thread of its own."""
+    """The live display of a sweep's jobs; a background thread reads their files."""
 
     def __init__(self, directory: Path):
-        """Start without a look at the jobs."""
+        """Create the display; the jobs are not read yet."""
         self.directory = directory
         self.statuses: list[JobStatus] = []
         self.begun = time.monotonic()
-        self.first: int | None = None  # steps of all jobs when it began
+        self.first: int | None = None  # steps of all jobs at the first read
         self.over = threading.Event()
         self.thread = threading.Thread(target=self.watch, daemon=True)
         self.console = Console()
@@ -75,18 +75,18 @@ class LiveTable:
             self.live.stop()
 
     def look(self) -> None:
-        """See how the jobs stand."""
-        with suppress(ConfigError):  # a search has none at first
+        """Read the state of every job."""
+        with suppress(ConfigError):  # a search has no jobs at first
             self.statuses = job_statuses(self.directory)
         if self.first is None:
             self.first = sum(s.step for s in self.statuses)
 
     def watch(self) -> None:
-        """Show what changed until the sweep is over."""
+        """Show the changes of the jobs until the sweep ends."""
         said = -float("inf")
         while not self.over.wait(LOOK_SECONDS):
             before = {s.job.name: s.state for s in self.statuses}
-            with suppress(OSError):  # a file that is replaced while it is read, or nobody to read
+            with suppress(OSError):  # a file was replaced during the read, or the output is closed
                 self.look()
                 if self.live is not None:
                     self.live.update(self.render(), refresh=True)
@@ -100,7 +100,7 @@ class LiveTable:
                     print(self.summary(), flush=True)
 
     def summary(self) -> str:
-        """Format one line: jobs, steps, and the time that is left at the rate so far."""
+        """Format one line: jobs, steps, and the time left at the average rate so far."""
         done = sum(s.step for s in self.statuses)
         total = sum(s.job.total for s in self.statuses if not s.job.problem)
         gained, gone = done - (self.first or 0), time.monotonic() - self.begun
@@ -109,7 +109,7 @@ class LiveTable:
         return f"{count_states(self.statuses)}; {steps}{left}"
 
     def render(self) -> Group:
-        """Return the display of this moment: the running jobs, and one line about all."""
+        """Return the current display: the running and failed jobs, and one summary line."""
         shown = Table.grid(padding=(0, 2))
         for s in self.statuses:
             if s.state in (RUNNING, FAILED):

@@ -1,7 +1,7 @@
 """Sweeps by Hydra's multirun: `sndjax -m env=A,B algo=C,D seed=0,9`.
 
-The jobs of a sweep are checked before the first starts; those that can run and are not finished
-are handed to Hydra's launcher, each a process of its own.
+All jobs of a sweep are checked before the first starts. Hydra's launcher runs the valid jobs that
+are not finished, each in a separate process.
 """
 
 import os
@@ -63,10 +63,10 @@ PLUGINS = {"ray": "ray", "submitit_slurm": "slurm", "submitit_local": "slurm", "
 
 
 def compose_hydra(hydras: list[str]) -> DictConfig:
-    """Return Hydra's own configuration of a sweep.
+    """Return Hydra's configuration of a sweep.
 
     Raises:
-      ConfigError: it refuses what was asked.
+      ConfigError: Hydra refuses one of the overrides.
     """
     register_configs()
     try:
@@ -80,7 +80,7 @@ def compose_hydra(hydras: list[str]) -> DictConfig:
 
 
 def default_directory(own: list[str], hydras: list[str]) -> Path:
-    """Return the directory of a sweep that names none: one for each command."""
+    """Return the default directory of a sweep, which differs for each command line."""
     named = [a.removeprefix("sweep=") for a in hydras if a.startswith("sweep=")]
     mine = [a for a in own if a.partition("=")[0] not in CHANGEABLE]
     if named and not mine:
@@ -90,15 +90,15 @@ def default_directory(own: list[str], hydras: list[str]) -> Path:
 
 
 class Sweep(NamedTuple):
-    """A sweep that was asked for.
+    """A sweep, as a command line describes it.
 
     Attributes:
-      directory: where it goes.
+      directory: the directory of the sweep.
       params: the values that the sweep's configuration lists.
-      own: our options of the command line.
-      hydras: Hydra's options.
-      hydra: Hydra's own configuration.
-      is_search: a sweeper other than Hydra's basic one chooses the values.
+      own: our options on the command line.
+      hydras: Hydra's options on the command line.
+      hydra: Hydra's configuration.
+      is_search: whether a sweeper other than Hydra's basic one chooses the values.
     """
 
     directory: Path
@@ -110,10 +110,10 @@ class Sweep(NamedTuple):
 
 
 def parse_command(arguments: Sequence[str]) -> Sweep:
-    """Return the sweep that a command line asks for.
+    """Return the sweep that a command line describes.
 
     Raises:
-      ConfigError: Hydra cannot read it.
+      ConfigError: Hydra cannot read the command line, or PYTHONOPTIMIZE is set.
     """
     if not __debug__:
         raise ConfigError(
@@ -129,18 +129,18 @@ def parse_command(arguments: Sequence[str]) -> Sweep:
 
 
 def multirun(arguments: Sequence[str]) -> int:
-    """Run a sweep, or what is left of it, and return the exit status.
+    """Run the unfinished jobs of a sweep, and return the exit status.
 
-    0 all jobs are done; 1 some failed, or the launcher did; 130 and 143 interrupted.
+    It is 0 if all jobs are done, 1 if jobs or the launcher failed, 130 or 143 if interrupted.
 
     Raises:
-      ConfigError: nothing of it can run.
+      ConfigError: the command line cannot be read, or no job can run.
     """
     sweep = parse_command(arguments)
     directory = sweep.directory
     given = [*sweep.hydras, f"hydra.sweep.dir={quote_path(directory)}"]
     (directory / STOP_FILE).unlink(missing_ok=True)
-    before: list[JobStatus] | None = None  # of a search it is not known
+    before: list[JobStatus] | None = None  # not known for a search
     swept: tuple[str, ...] = ()
     if sweep.is_search:
         asked, swept = sweep.own, swept_keys([*sweep.params, *sweep.own])
@@ -176,7 +176,7 @@ def multirun(arguments: Sequence[str]) -> int:
 
 def summarize(directory: Path, before: list[JobStatus] | None) -> int:
     """Print the state of the jobs, write the page, and return 0 if all requested jobs are done."""
-    has_jobs = (directory / FILES).is_dir()  # a search has none at first
+    has_jobs = (directory / FILES).is_dir()  # a search has no jobs at first
     found = {s.job.name: s for s in (job_statuses(directory) if has_jobs else [])}
     bad = {s.job.name: s for s in before or () if s.job.problem}
     names = found if before is None else [s.job.name for s in before]
@@ -188,13 +188,13 @@ def summarize(directory: Path, before: list[JobStatus] | None) -> int:
 
 
 def write_page(directory: Path) -> None:
-    """Write the page of what the jobs have so far."""
+    """Write the page about the runs of the jobs so far."""
     with suppress(ConfigError):  # nothing to show yet
         write_report([directory], directory / "report")
 
 
 def prepare_jobs(directory: Path, listed: list[Job]) -> list[JobStatus]:
-    """Record the jobs of a sweep, and return how far each is before anything runs.
+    """Record the jobs of a sweep, and return the state of each before anything runs.
 
     Raises:
       ConfigError: no job can run.
@@ -207,7 +207,7 @@ def prepare_jobs(directory: Path, listed: list[Job]) -> list[JobStatus]:
     for job in listed:
         known, last = before.get(job.name, (None, {}))
         if job.problem is None and (other := find_conflict(directory, job, known)):
-            job = job._replace(problem=other)  # what is there stays as it is
+            job = job._replace(problem=other)  # the existing run is not changed
         now.append(current := job_status(directory, job, last))
         at_work = current.state in (RUNNING, DONE)
         if known is None or not (at_work or job.problem):
@@ -220,8 +220,8 @@ def print_prepared(directory: Path, statuses: list[JobStatus]) -> None:
     """Print how many jobs are in each state before anything runs, and which cannot run.
 
     Args:
-      directory: of the sweep.
-      statuses: of its jobs.
+      directory: the directory of the sweep.
+      statuses: the states of its jobs.
     """
     words = {
         DONE: "done already",
@@ -244,7 +244,7 @@ def print_prepared(directory: Path, statuses: list[JobStatus]) -> None:
 
 
 def launcher_error(lines: list[str]) -> str:
-    """Return what a launcher printed last; "" if that is the failure of one job.
+    """Return the last lines of a launcher's output; "" if they are the failure of one job.
     >>> launcher_error(["joblib.externals.loky.BrokenProcessPool: a worker died"])
     'joblib.externals.loky.BrokenProcessPool: a worker died'
     >>> launcher_error(["job env=Venture: not finished", "Set HYDRA_FULL_ERROR=1 for more"])
@@ -270,7 +270,7 @@ def launch(runner: JobRunner, arguments: list[str]) -> str:
         return "interrupted"
     finally:
         sys.argv = before
-        if "joblib" in sys.modules:  # its workers would wait for more
+        if "joblib" in sys.modules:  # its workers would wait for more jobs
             from joblib.externals.loky import get_reusable_executor
 
             get_reusable_executor().shutdown(kill_workers=at_once)
@@ -278,10 +278,10 @@ def launch(runner: JobRunner, arguments: list[str]) -> str:
 
 
 class GracefulStop:
-    """SIGINT and SIGTERM stop a sweep in order: no job begins, runs write a checkpoint and end."""
+    """The handler of SIGINT and SIGTERM: no job starts, runs write a checkpoint and stop."""
 
     def __init__(self, stop: Path):
-        """Take the file that workers look for; a signal makes it."""
+        """Store the path of the stop file, which a signal creates and the workers look for."""
         self.file, self.status = stop, 0
 
     def __enter__(self) -> "GracefulStop":
@@ -293,7 +293,7 @@ class GracefulStop:
             signal.signal(number, handler)
 
     def stop(self, number: int, frame: Any) -> None:
-        """Tell the workers, wherever they are; a second signal ends the sweep at once."""
+        """Create the stop file for the workers; a second signal raises KeyboardInterrupt."""
         if self.status:
             raise KeyboardInterrupt
         self.status = 128 + number

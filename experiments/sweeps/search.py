@@ -1,4 +1,4 @@
-"""What a search over settings has found: its trials in order, and a picture of two of the keys."""
+"""The results of a search over settings: the sorted trials, and a plot over two keys."""
 
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,9 @@ def finished_trials(
     """Return the metric and the values of every finished trial, the best first.
 
     Args:
-      directory: of the sweep.
-      keys: what the search chose.
-      figure: the metric that it maximised.
+      directory: the directory of the sweep.
+      keys: the keys whose values the search chose.
+      figure: the name of the metric that the search maximised.
     """
     found = []
     for job, _ in read_jobs(directory):
@@ -31,12 +31,12 @@ def finished_trials(
 
 
 def search_report(directory: Path, keys: tuple[str, ...], figure: str) -> str:
-    """Return the trials as lines; write them as search.csv and, for two keys, as a picture.
+    """Return the trials as text; write search.csv and, for two keys, a picture.
 
     Args:
-      directory: of the sweep.
-      keys: what the search chose.
-      figure: the metric that it maximised.
+      directory: the directory of the sweep.
+      keys: the keys whose values the search chose.
+      figure: the name of the metric that the search maximised.
     """
     found = finished_trials(directory, keys, figure)
     out = directory / "report"
@@ -61,9 +61,9 @@ def plot_trials(
 
     Args:
       found: the metric and the values of every trial.
-      keys: of the two values.
+      keys: the keys of the two values.
       figure: the name of the metric.
-      out: where the picture goes.
+      out: the directory of the picture.
     """
     drawn, grid = make_panels(1, 1)
     axes = grid[0, 0]

@@ -1,1 +1,1 @@
-"""Other people's training scripts on our task; torch and their packages are imported where used."""
+"""Training scripts of other projects on our task; their packages are imported where used."""

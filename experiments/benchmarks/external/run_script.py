@@ -23,14 +23,14 @@ PEERS = {"cleanrl": "CleanRL's RND", "rlexplore": "RLeXplore's RND"}
 PACKAGES = ("torch", "gym", "gymnasium", "rllte-core")
 STEPS = 1_003_520
 PIXELS = 84  # the side of their frames
-OURS = ("seed", "total_timesteps", "cuda")  # settings that other options say
+OURS = ("seed", "total_timesteps", "cuda")  # settings that other options set
 
 
 class FrameShapeRewriter(ast.NodeTransformer):
-    """Makes the frames of a script 1 x `width`."""
+    """A transformer of a syntax tree that changes the frames of a script to 1 x `width`."""
 
     def __init__(self, width: int):
-        """Look for two sides of a frame, one after the other; they become 1 and `width`."""
+        """Store the width. Two adjacent sides of a frame (`PIXELS`) become 1 and `width`."""
         self.width = width
 
     def generic_visit(self, node: ast.AST) -> ast.AST:
@@ -45,17 +45,17 @@ class FrameShapeRewriter(ast.NodeTransformer):
 
 
 def adapt_script(script: str, ours: dict[str, Any], width: int) -> CodeType:
-    """Compile a script in which our names replace its definitions and imports.
+    r"""Compile a script in which our objects replace its definitions and imports.
 
     Args:
-      script: its text.
-      ours: our objects by name.
-      width: of a frame, which becomes 1 x `width`.
+      script: the text of the script.
+      ours: our objects, by the name that they replace.
+      width: the width of a frame, which becomes 1 x `width`.
 
     Raises:
-      ConfigError: the script does not have one of these names: it is another script.
+      ConfigError: the script lacks one of these names, so that it is another script.
 
-    >>> code = adapt_script("def make(): return 1\\nx = make() + sum((84, 84))", {"make": int}, 2)
+    >>> code = adapt_script("def make(): return 1\nx = make() + sum((84, 84))", {"make": int}, 2)
     >>> names = {"make": int}
     >>> exec(code, names)
     >>> names["x"]
@@ -89,10 +89,10 @@ def adapt_script(script: str, ours: dict[str, Any], width: int) -> CodeType:
 
 
 def parse_settings(text: str, peer: str) -> dict[str, Any]:
-    """Parse the settings in a text.
+    """Parse settings of the form `name=value,name=value`.
 
     Raises:
-      ConfigError: a setting has no value, or is not one of the script's.
+      ConfigError: a setting has no value, or is not a setting of the script.
 
     >>> parse_settings("gamma=0.9,norm_adv=false,rnd.rwd_norm_type=rms", "rlexplore")
     {'gamma': 0.9, 'norm_adv': False, 'rnd.rwd_norm_type': 'rms'}
@@ -112,7 +112,7 @@ def parse_settings(text: str, peer: str) -> dict[str, Any]:
 
 
 def command_flags(settings: dict[str, Any]) -> list[str]:
-    """Format settings for the scripts' command lines.
+    """Format settings as options for the command lines of the scripts.
 
     >>> command_flags({"gamma": 0.9, "norm_adv": False, "rnd.beta": 2})
     ['--gamma', '0.9', '--no-norm-adv']
@@ -144,15 +144,16 @@ def run_peer(
     """Run a script on our task, and write its figures.
 
     Args:
-      script_path: their file.
+      script_path: the file of the script.
       peer: a key of `PEERS`.
-      seed: of the script and of the environments.
-      steps: that the script trains for, rounded down to rollouts.
+      seed: the seed of the script and of the environments.
+      steps: the steps that the script trains for, rounded down to rollouts.
       settings_text: options of the script, see `parse_settings`.
-      out: where the figures go.
+      out: the directory of the figures.
 
     Raises:
-      ConfigError: it is another script, or something that it needs is not installed.
+      ConfigError: a setting is wrong, the file is another script, or a package that the script
+        needs is not installed.
     """
     settings = parse_settings(settings_text, peer)
     config = load_config(["env=MountainCar", "algo=rnd", f"seed={seed}"])

@@ -1,6 +1,6 @@
-"""What stands in for Atari in other people's scripts: see `sndjax external`.
+"""The replacements for Atari in the scripts of other projects; see `sndjax external`.
 
-torch and their own packages are imported where they are used: nothing else needs them.
+torch and the packages of these projects are imported where they are used: nothing else needs them.
 """
 
 from functools import partial
@@ -16,7 +16,7 @@ WRAPPERS = ("ClipRewardEnv", "EpisodicLifeEnv", "FireResetEnv", "MaxAndSkipEnv",
 
 
 class EpisodeCountingEnv:
-    """The environments of a script, and the returns of the episodes that it saw."""
+    """The environments of a script, with the returns of the episodes that ended."""
 
     def __init__(self, pool: Pool, bars: ProgressBars, total: int):
         """Start counting.
@@ -24,7 +24,7 @@ class EpisodeCountingEnv:
         Args:
           pool: the environments.
           bars: the progress display.
-          total: the steps that it shows as the whole.
+          total: the number of steps that the progress display shows as the whole.
         """
         self.pool, self.bars, self.total = pool, bars, total
         self.rows = 0
@@ -39,7 +39,7 @@ class EpisodeCountingEnv:
     def step(self, action: Any) -> EnvStep:
         """Step every environment; arrays are [N, ...].
 
-        A reset takes a step of its own, as in envpool and gymnasium; for the scripts it is a normal
+        A reset takes a separate step, as in envpool and gymnasium; for the scripts it is a normal
         step, at most one in 201.
         """
         step = self.pool.step(np.asarray(action)[None])
@@ -48,7 +48,7 @@ class EpisodeCountingEnv:
         self.running += step.reward
         self.ended += [(self.rows, value) for value in self.running[step.done].tolist()]
         self.running[step.done] = 0
-        # The warm-up is not known before: until the end there is one more to come.
+        # The length of the warm-up is not known: show at least one more step to come.
         self.bars.update("steps", self.rows, max(self.total, self.rows + 1))
         return step
 
@@ -68,7 +68,7 @@ class EpisodeCountingEnv:
 
 
 class NullWriter:
-    """A log that is not kept."""
+    """A SummaryWriter that writes nothing."""
 
     def __init__(self, *place: str):
         """Accept the arguments of a SummaryWriter."""
@@ -81,9 +81,9 @@ def linear(wide: int, features: int, gain: float = 2**0.5) -> Any:
     """Make a linear layer with orthogonal weights and zero biases, as in both scripts.
 
     Args:
-      wide: inputs.
-      features: outputs.
-      gain: of the weights.
+      wide: the number of inputs.
+      features: the number of outputs.
+      gain: the gain of the weights.
     """
     from torch import nn
 
@@ -96,8 +96,8 @@ def linear(wide: int, features: int, gain: float = 2**0.5) -> Any:
 def cleanrl_networks(width: int, hidden: int = 64) -> dict[str, Any]:
     """Return CleanRL's policy and RND for frames [B, 4, 1, D], of which the last is read.
 
-    The linear layers stand where its own stand, with their gains; for three convolutions and
-    the layer behind them there is one (policy) or two (RND).
+    The linear layers are in the same places as in the script, with the same gains; the three
+    convolutions and the layer behind them are replaced by one layer (policy) or two (RND).
     """
     import torch
     from torch import nn
@@ -149,7 +149,7 @@ def cleanrl_networks(width: int, hidden: int = 64) -> dict[str, Any]:
 
 
 def rlexplore_networks(width: int, hidden: int = 64) -> dict[str, Any]:
-    """Return RLeXplore's policy for frames [B, D]: heads of one layer on the torso, as its own."""
+    """Return RLeXplore's policy for frames [B, D], with heads of one layer as in the script."""
     import torch
     from torch import nn
 
@@ -177,12 +177,12 @@ def rlexplore_networks(width: int, hidden: int = 64) -> dict[str, Any]:
 def cleanrl_adapter(
     envs: EpisodeCountingEnv, settings: dict[str, Any], seed: int
 ) -> dict[str, Any]:
-    """Return what replaces Atari in CleanRL's script: old gym's API, frames [N, 4, 1, D].
+    """Return the replacement of Atari in CleanRL's script: old gym API, frames [N, 4, 1, D].
 
     Args:
       envs: the environments.
-      settings: of the script.
-      seed: of the script.
+      settings: the settings of the script.
+      seed: the seed of the script.
     """
     import gym
 
@@ -194,7 +194,7 @@ def cleanrl_adapter(
         observation_space = gym.spaces.Box(-1, 1, (4, 1, width))
 
         def __init__(self, *task: str, **options: Any):
-            """Ignore the Atari task that is asked for."""
+            """Ignore the requested Atari task."""
 
         def reset(self) -> np.ndarray:
             return stacked(envs.reset())
@@ -213,12 +213,12 @@ def cleanrl_adapter(
 def rlexplore_adapter(
     envs: EpisodeCountingEnv, settings: dict[str, Any], seed: int
 ) -> dict[str, Any]:
-    """Return what replaces Atari in RLeXplore's script: a gymnasium vector environment.
+    """Return the replacement of Atari in RLeXplore's script: a gymnasium vector environment.
 
     Args:
       envs: the environments.
-      settings: of the script.
-      seed: of the script.
+      settings: the settings of the script.
+      seed: the seed of the script.
     """
     import gymnasium
     from rllte.xplore.reward import RND
