@@ -18,7 +18,7 @@ class Options:
     """The options of the command."""
 
     states: int = option(10_000, "to collect", low=100, high=1_000_000)
-    trajectory: bool = option(False, "take the recorded one instead of an agent's")
+    trajectory: bool = option(False, "use the recorded trajectory instead of an agent's states")
     agent: str | None = option(None, "the run whose agent collects; default: the best of them")
     seed: int = option(0, "of the environments and of t-SNE", low=0, high=2**31 - 1)
     out: str = option("analysis", "where the page goes")

@@ -15,7 +15,7 @@ COMMANDS = {
     "report": "write one page of any runs",
     "evaluate": "measure how well an agent plays",
     "record": "film an agent, with its novelty signal",
-    "replay": "run an update that went wrong once more",
+    "replay": "repeat an update that produced NaN or Inf",
     "sweep": "show how far each job of a sweep is",
     "seed_table": "print the table of a sweep, a line for each algorithm",
     "analyze": "compare the feature spaces of trained modules",

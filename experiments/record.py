@@ -17,7 +17,7 @@ from .system.process import run_script
 class Options:
     """The options of the command."""
 
-    episodes: int = option(8, "of which the best is filmed", low=1, high=1024)
+    episodes: int = option(8, "to play; the video shows the best", low=1, high=1024)
     policy: str = option("sampled", "how actions are taken", choices=("sampled", "greedy"))
     seed: int = option(0, "of the environments", low=0, high=2**31 - 1)
     agent: int = option(-1, "the seed of the run whose agent plays; -1: its first", low=-1)

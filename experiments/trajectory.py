@@ -27,7 +27,7 @@ from .system.process import run_script
 class Options:
     """The options of the command."""
 
-    seconds: int = option(480, "that the search takes at most", low=1)
+    seconds: int = option(480, "the longest time of the search", low=1)
 
 
 def search(paths: list[Path], options: Options) -> None:

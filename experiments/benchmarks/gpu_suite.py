@@ -98,5 +98,5 @@ def run_suite(
     write_report([out], out / "report")
     if failed:
         raise ConfigError(
-            f"ended by themselves: {', '.join(failed)}; the others continue when called again"
+            f"these runs failed: {', '.join(failed)}; the same command resumes the others"
         )

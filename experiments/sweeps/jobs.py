@@ -69,7 +69,9 @@ def expand_product(arguments: Sequence[str]) -> list[list[str]]:
     try:
         (batch,) = BasicSweeper.split_arguments(list(parse_sweep(arguments).values()), None)
     except HydraException as error:
-        raise ConfigError(f"{str(error).splitlines()[0]}; a search takes them") from None
+        raise ConfigError(
+            f"{str(error).splitlines()[0]}; only a search (hydra/sweeper=optuna) accepts this"
+        ) from None
     return batch
 
 
@@ -211,7 +213,7 @@ def read_job(path: Path) -> tuple[Job, dict[str, Any]]:
         entry = json.loads(path.read_text())
         return Job(*(entry.pop(field) for field in Job._fields)), entry
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise ConfigError(f"{path} is no job of a sweep") from None
+        raise ConfigError(f"{path}: this file describes no job of a sweep") from None
 
 
 def read_jobs(directory: Path) -> list[tuple[Job, dict[str, Any]]]:

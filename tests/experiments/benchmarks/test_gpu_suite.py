@@ -69,4 +69,4 @@ def test_run_suite_rounds_share_the_minutes_and_a_failed_run_is_named(
     arguments = ["--cpu", "--minutes", "1", "--envs", "Venture", "--algos", "ppo,rnd,icm"]
     assert main([*arguments, "--at-once", "2", "--out", str(tmp_path / "new" / "out")]) == 2
     assert asked == [(["ppo", "rnd"], 30.0, False), (["icm"], 30.0, False)]
-    assert "ended by themselves: Venture rnd (status 1)" in capsys.readouterr().err
+    assert "these runs failed: Venture rnd (status 1)" in capsys.readouterr().err

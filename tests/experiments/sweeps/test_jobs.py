@@ -48,7 +48,7 @@ def test_expand_jobs_bad_job_has_a_reason_and_the_others_none():
     ("arguments", "words"),
     [
         (["env=MountainCar", "algo=ppo", "run_dir=there"], "hydra.sweep.dir"),
-        (["env=MountainCar", "algo=ppo", "ppo.clip=interval(0,1)"], "a search takes them"),
+        (["env=MountainCar", "algo=ppo", "ppo.clip=interval(0,1)"], "only a search"),
         (["env=MountainCar", "algo=ppo", "seed=(1"], "cannot read"),
         (["env=envpool", "env.id=A/b-v1,A-b-v1", "algo=ppo"], "2 jobs would all be"),
     ],
@@ -108,5 +108,5 @@ def test_job_statuses_directory_without_a_sweep_is_refused(tmp_path):
         job_status.job_statuses(tmp_path)
     (tmp_path / "cells").mkdir()
     (tmp_path / "cells" / "x.json").write_text("[1]")
-    with pytest.raises(ConfigError, match="is no job"):
+    with pytest.raises(ConfigError, match="describes no job"):
         job_status.job_statuses(tmp_path)
