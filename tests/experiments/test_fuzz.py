@@ -1,4 +1,4 @@
-"""Thousands of bad inputs: a line each and status 2, no traceback, nothing half-written."""
+"""Give thousands of bad inputs: each is refused in one line, with status 2 and no traceback."""
 
 import hashlib
 import json
@@ -33,7 +33,7 @@ SWEEPS = ("-m", "--multirun", "--config", "--cfg=job", "-cd", "--", "-", "hydra.
 
 
 def word(draw):
-    """A value: a known troublemaker, a number, or noise."""
+    """Draw a value: a known problematic string, a number, or random characters."""
     kind = draw.random()
     if kind < 0.6:
         return draw.choice(WORDS)
@@ -43,24 +43,24 @@ def word(draw):
 
 
 def argument(draw):
-    """One argument, more or less like an option."""
+    """Draw one argument that looks more or less like an option."""
     kind = draw.random()
     if kind < 0.05:
         return draw.choice(SWEEPS)
     if kind < 0.1:
         return word(draw)
     key = draw.choice(KEYS)
-    if kind < 0.2:  # a slip of the finger
+    if kind < 0.2:  # a typing error
         at = draw.randrange(len(key))
         key = key[:at] + draw.choice(["", "_", ".", "x"]) + key[at + 1 :]
     return draw.choice(["", "", "", "+", "++", "~"]) + key + "=" + word(draw)
 
 
 def command(draw):
-    """A valid beginning, sometimes, and arguments that are mostly wrong."""
+    """Draw arguments that are mostly wrong, sometimes after some valid ones."""
     begin = draw.choice([[], CAR, ["env=MountainCar", "algo=rnd"], ["env=Venture", "algo=snd_std"]])
     made = [*begin, *(argument(draw) for _ in range(draw.randint(0, 3)))]
-    return [a for a in made if "\0" not in a]  # which no command line can hold
+    return [a for a in made if "\0" not in a]  # no command line can hold a null byte
 
 
 def one_line(err):
@@ -71,7 +71,7 @@ def one_line(err):
 
 @pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.survival)])
 def test_main_generated_command_lines_leave_no_traceback(count, tmp_path, monkeypatch, capfd):
-    """In this process; what is accepted is not trained."""
+    """Call main in this process; an accepted configuration is not trained."""
     monkeypatch.chdir(tmp_path)
     accepted = []
     monkeypatch.setattr(
@@ -112,7 +112,7 @@ def test_main_generated_command_lines_in_a_shell_make_no_traceback(count, tmp_pa
         try:
             process = start([*arguments, *more], tmp_path)
         except ValueError:
-            continue  # a null byte
+            continue  # an argument with a null byte
         tried += 1
         with process:
             _, err = process.communicate(timeout=120)
@@ -126,7 +126,7 @@ def test_main_generated_command_lines_in_a_shell_make_no_traceback(count, tmp_pa
 
 
 def harmed(data, draw):
-    """Bytes with some flipped, cut, doubled, or put in."""
+    """Return the bytes with some of them flipped, removed, repeated or inserted."""
     data = bytearray(data)
     for _ in range(draw.randint(1, 3)):
         at = draw.randrange(len(data) + 1)
@@ -145,7 +145,7 @@ def harmed(data, draw):
 
 
 def changed(tree, draw):
-    """JSON or YAML with one value somewhere replaced, removed or added."""
+    """Return JSON or YAML data with one value replaced, removed or added."""
     if isinstance(tree, dict) and tree and draw.random() < 0.9:
         key = draw.choice(sorted(tree))
         kind = draw.random()
@@ -159,7 +159,7 @@ def changed(tree, draw):
 
 
 def changed_file(path, draw):
-    """What a configuration or a sealed manifest might have held instead."""
+    """Return the file with one value changed; a manifest gets the digest of its new content."""
     if path.suffix == ".yaml":
         return yaml.safe_dump(changed(yaml.safe_load(path.read_text()), draw)).encode()
     manifest = json.loads(path.read_text())
@@ -170,7 +170,7 @@ def changed_file(path, draw):
 
 
 def longer(path):
-    """Whether a harmed configuration is still one, of a run too long for a test."""
+    """Return whether a damaged configuration is valid, but of a run too long for a test."""
     try:
         return read_saved(path).config.total_steps > 10_000
     except ConfigError:
@@ -179,7 +179,7 @@ def longer(path):
 
 @pytest.mark.parametrize("count", [15, pytest.param(300, marks=pytest.mark.survival)])
 def test_run_resume_damaged_files_make_no_traceback(count, tmp_path, capfd, monkeypatch):
-    """The real command resumes each: it finishes, or refuses in one line and changes nothing."""
+    """Resume with the real command: it finishes, or refuses in one line and changes nothing."""
     run, copy = tmp_path / "run", tmp_path / "copy"
     arguments = [*CAR, "algo=ppo", "total_steps=512", "checkpoint_every=2"]
     assert main([*arguments, f"run_dir={run}"]) == 0
@@ -203,7 +203,7 @@ def test_run_resume_damaged_files_make_no_traceback(count, tmp_path, capfd, monk
             continue
         found = {p: p.read_bytes() for p in copy.rglob("*") if p.is_file()}
         capfd.readouterr()
-        if target.name == "config.yaml":  # what may be repeated is not trained
+        if target.name == "config.yaml":  # an accepted configuration is not trained
             with monkeypatch.context() as patch:
                 patch.setattr(training, "train", lambda *_: None)
                 assert main([f"repeat={target}", f"run_dir={tmp_path / 'again'}"]) in (0, 2)
@@ -227,7 +227,7 @@ def test_run_resume_damaged_files_make_no_traceback(count, tmp_path, capfd, monk
 
 @pytest.mark.parametrize("count", [6, pytest.param(60, marks=pytest.mark.survival)])
 def test_replay_damaged_dumps_make_no_traceback(count, tmp_path, capfd, monkeypatch):
-    """Up to the update that is run again."""
+    """Replay each dump up to the update, which is not run."""
     path, copy = tmp_path / "run", tmp_path / "copy"
     command = [*CAR, "algo=ppo", "ppo.value_weight=3e38", "total_steps=256"]
     assert main([*command, f"run_dir={path}"]) == 1
@@ -252,13 +252,13 @@ def test_replay_damaged_dumps_make_no_traceback(count, tmp_path, capfd, monkeypa
 
 
 def test_read_saved_and_other_readers_of_stored_data_execute_nothing():
-    """No pickle, no eval: the only readers of stored data in the tree are these."""
+    """Search the code for pickle, eval, exec and other unsafe readers of stored data."""
     readers = re.compile(r"pickle|\beval\(|\bexec\(|yaml\.(load|unsafe)|np\.load")
     root = validate.CONF.parents[1]
     files = [*(root / "sndjax").rglob("*.py"), *(root / "experiments").rglob("*.py")]
     lines = [(f.name, line) for f in files for line in f.read_text().splitlines()]
-    refused = "allow_pickle=False"  # of numpy: plain numbers or an error
+    refused = "allow_pickle=False"  # NumPy then reads plain numbers or raises
     found = [name for name, line in lines if refused not in line and readers.search(line)]
     assert len(files) > 40
-    # saved.py with the loader that makes plain data only; run_script.py runs the script it is given
+    # saved.py uses a loader of plain data only; run_script.py runs the script it is given
     assert Counter(found) == {"saved.py": 1, "run_script.py": 2}

@@ -1,7 +1,7 @@
-"""A power cut, by the letter of POSIX: what was not synced is not there.
+"""Simulate power cuts in the strict sense of POSIX: what was not synced is lost.
 
-While a run writes, every fsync copies what it makes last: a file's bytes, or the names in a
-directory. A cut leaves exactly that. The run is then gone on with from what is left.
+While a run writes, every fsync copies what it makes permanent: the bytes of a file, or the names
+in a directory. A cut leaves exactly these. The run is then resumed from what is left.
 """
 
 import os
@@ -17,10 +17,10 @@ COMMAND = [*CAR, "algo=rnd", "total_steps=2048", "checkpoint_every=2"]
 
 
 class Disk:
-    """What would be left of a directory if the power went now."""
+    """Record of what a power cut would leave of a directory at each moment."""
 
     def __init__(self, root, monkeypatch):
-        """The directory itself is there, and empty."""
+        """Start with an existing, empty directory, and watch every fsync."""
         self.root = root
         self.bytes: dict[int, bytes] = {}
         self.names: dict[int, dict[str, tuple[int, bool]]] = {}
@@ -36,7 +36,7 @@ class Disk:
         monkeypatch.setattr(os, "fsync", watched)
 
     def sync(self, place):
-        """Make a file's bytes or a directory's names last."""
+        """Record the bytes of a file or the names in a directory as permanent."""
         inode = os.stat(place).st_ino
         if os.path.isdir(place):
             entries = list(os.scandir(place))
@@ -46,7 +46,7 @@ class Disk:
                 self.bytes[inode] = file.read()
 
     def left(self, cut, where):
-        """Write what the cut of this number leaves to another place."""
+        """Write what remains after the cut of this number to another directory."""
         data, names = self.lost[cut]
 
         def directory(inode, path):
@@ -74,7 +74,7 @@ def test_run_power_cut_resumes_from_a_complete_checkpoint(cuts, tmp_path, monkey
         left = tmp_path / f"left-{cut}"
         disk.left(cut, left)
         whole = [int(p.name) for p in left.glob("checkpoints/[0-9]*") if p.is_dir()]
-        if whole:  # one that has its name is whole, and no cut takes an older one back
+        if whole:  # a named checkpoint is complete; a later cut leaves it or a newer one
             iteration, _ = tree_of(left)
             assert iteration == max(whole) >= newest
             newest = iteration

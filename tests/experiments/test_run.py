@@ -1,4 +1,4 @@
-"""The command line as a user meets it: through a process of its own, on real environments."""
+"""Run the command as a user does: in a separate process, on real environments."""
 
 import math
 import os
@@ -41,7 +41,7 @@ RUNS += [
 def test_run_every_algorithm_on_every_kind_of_environment_trains(
     env, algorithm, tmp_path, capfd, monkeypatch
 ):
-    """In this process, through the command's entry function."""
+    """Call the entry function of the command in this process."""
     path = tmp_path / "run"
     monkeypatch.chdir(tmp_path)
     baseline = algorithm == ["algo=ppo"]
@@ -111,7 +111,7 @@ def test_run_bad_input_is_one_line_and_status_2_within_five_seconds(arguments, w
     before = os.times()
     status, out, err = run([a.format(full=full) for a in arguments], tmp_path)
     after = os.times()
-    # Processor time: what else the machine is doing does not count.
+    # Processor time does not count the other work of the machine.
     assert (
         after.children_user + after.children_system
         < before.children_user + before.children_system + 5

@@ -1,4 +1,4 @@
-"""The same again: the same bits from the same command, and from a learner that was interrupted."""
+"""Check that a repeated command and a resumed update give the same bits."""
 
 import json
 import subprocess
@@ -44,11 +44,11 @@ def test_run_same_command_at_once_and_repeated_gives_the_same_bits(arguments, it
             np.testing.assert_array_equal(one, two)
     summary = json.loads((tmp_path / "a" / "summary.json").read_text())
     assert [seed["seed"] for seed in summary["seeds"]] == [0, 1]
-    assert summary["seeds"][0]["episodes"] > 0 or iterations == 2  # an Atari game is longer
+    assert summary["seeds"][0]["episodes"] > 0 or iterations == 2  # no Atari episode ends in two
 
 
 def test_train_step_resumed_on_a_recorded_rollout_gives_the_same_bits(tmp_path):
-    """Three updates in a row, against one, a checkpoint, a new process's start, and two more."""
+    """Compare three updates in a row with one update, a checkpoint, and two in a new process."""
     code = """
 import pickle, sys
 import jax, numpy as np

@@ -1,6 +1,6 @@
-"""Runs that are killed, starved of disk, damaged and repeated: nothing is lost.
+"""Kill, damage and resume runs, and fill their disk: check that nothing is lost.
 
-`make test-survival` does it in the numbers that docs/survival.md reports.
+`make test-survival` runs these tests in the numbers that docs/survival.md reports.
 """
 
 import json
@@ -21,8 +21,8 @@ from experiments.run import main
 
 
 @contextmanager
-def running(arguments, cwd, out=subprocess.DEVNULL):  # a pipe that nobody reads gets full
-    """A run in a process of its own, which does not outlive a test that fails."""
+def running(arguments, cwd, out=subprocess.DEVNULL):  # an unread pipe fills up
+    """Start a run in a separate process, and kill it when the test ends."""
     with start(arguments, cwd, out) as process:
         try:
             yield process
@@ -34,7 +34,7 @@ survival = pytest.mark.survival
 
 
 def prefix(path):
-    """The lines of metrics.jsonl that its newest checkpoint answers for."""
+    """Return the lines of metrics.jsonl up to the newest checkpoint."""
     newest = max((int(p.name) for p in (path / "checkpoints").glob("[0-9]*")), default=0)
     return [e for e in without_clock(whole_lines(path)) if e["iteration"] <= newest]
 
@@ -55,7 +55,7 @@ def whole_lines(path):
 
 
 def stop(process, number):
-    """Send a signal; what the process then says. It is answered within ten seconds."""
+    """Send a signal; check that the process ends within ten seconds; return its stderr."""
     process.send_signal(number)
     begun = time.monotonic()
     _, err = process.communicate(timeout=60)
@@ -65,7 +65,7 @@ def stop(process, number):
 
 
 def until(path, command, more, number=signal.SIGTERM):
-    """Run until metrics.jsonl has so many lines more than it had, then stop it."""
+    """Run until metrics.jsonl has `more` new lines, then stop the run."""
     wanted = len(whole_lines(path)) + more
     with running(command, path.parent) as process:
         while len(whole_lines(path)) < wanted:
@@ -94,12 +94,12 @@ def test_run_killed_at_random_moments_loses_no_line(kills, tmp_path):
                 time.sleep(draw.uniform(0, 3))
             number = draw.choice([signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
             stop(process, number)
-        # At the very start Python's own handlers answer, before ours are there.
+        # At the very start, Python's default handlers answer: ours are not installed yet.
         ours = 128 + number if number != signal.SIGKILL else -number
         assert process.returncode in ((ours, -number) if killed % 3 == 0 else (ours,))
         killed += 1
         now = prefix(path)
-        assert now[: len(kept)] == kept  # what a checkpoint once answered for stays as it was
+        assert now[: len(kept)] == kept  # lines before a checkpoint never change
         kept = now
     until(path, command, 20)
     print(f"{kills} kills, {len(lines(path))} lines, none lost")
@@ -110,7 +110,7 @@ def test_run_killed_at_random_moments_loses_no_line(kills, tmp_path):
 LONG = ["env=MountainCar", "algo=rnd", "num_envs=64", "rollout_length=512", "ppo.minibatch_size=64"]
 
 
-def test_run_sigterm_during_a_long_update_breaks_it_off(tmp_path):
+def test_run_sigterm_during_a_long_update_stops_it(tmp_path):
     path = tmp_path / "run"
     command = [*LONG, "ppo.epochs=1000", "total_steps=100_000_000", f"run_dir={path}"]
     with running(command, tmp_path, out=subprocess.PIPE) as process:
@@ -121,11 +121,11 @@ def test_run_sigterm_during_a_long_update_breaks_it_off(tmp_path):
         err = stop(process, signal.SIGTERM)
     assert process.returncode == 143, err
     assert f"resume={path}" in err
-    assert tree_of(path)[0] == len(lines(path)) == 0  # the one before the first update
+    assert tree_of(path)[0] == len(lines(path)) == 0  # the checkpoint before the first update
 
 
-def test_run_update_broken_off_leaves_the_state_before_it(tmp_path):
-    """Also where the newest checkpoint is older: the tenth iteration is the first that is due."""
+def test_run_sigterm_after_an_older_checkpoint_keeps_the_state_before_the_update(tmp_path):
+    """Stop the second update: the first regular checkpoint would be at the tenth iteration."""
     path = tmp_path / "run"
     command = [*LONG, "ppo.epochs=400", "total_steps=100_000_000", "checkpoint_every=10"]
     with running([*command, f"run_dir={path}"], tmp_path) as process:
@@ -142,7 +142,7 @@ def test_run_update_broken_off_leaves_the_state_before_it(tmp_path):
 
 
 def test_run_sigterm_at_the_start_ends_it(tmp_path):
-    """At once after the title: weights are being drawn and the policy compiled."""
+    """Stop just after the title, while the weights are drawn and the policy is compiled."""
     path = tmp_path / "run"
     command = ["env=Venture", "algo=snd_std", "num_envs=8", f"run_dir={path}", "resume=auto"]
     with running(command, tmp_path, out=subprocess.PIPE) as process:
@@ -152,7 +152,7 @@ def test_run_sigterm_at_the_start_ends_it(tmp_path):
     assert process.returncode == 143, err
 
 
-def test_run_closed_stdout_goes_on_training(tmp_path):
+def test_run_closed_stdout_trains_to_the_end(tmp_path):
     path = tmp_path / "run"
     command = [*CAR, "algo=ppo", "total_steps=2560", f"run_dir={path}"]
     with running(command, tmp_path, out=subprocess.PIPE) as process:
@@ -203,7 +203,7 @@ def test_run_resume_damaged_checkpoint_uses_the_previous(tmp_path, capfd):
     assert "resuming from iteration 6" in out
     check_nothing_lost(path, 8)
     assert without_clock(lines(path))[:6] == whole[:6]
-    assert tree_of(path)[0] == 8  # a whole one now
+    assert tree_of(path)[0] == 8  # complete again
     for step in (path / "checkpoints").iterdir():
         (step / "manifest.json").write_text("{}")
     before = (path / "metrics.jsonl").read_bytes()
@@ -214,7 +214,7 @@ def test_run_resume_damaged_checkpoint_uses_the_previous(tmp_path, capfd):
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """A file system of three megabytes."""
+    """Mount a file system of three megabytes, and return its directory."""
     place = tmp_path / "disk"
     place.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(place)]
@@ -226,7 +226,7 @@ def small_disk(tmp_path):
 
 @pytest.mark.parametrize(
     "room", [300, *(pytest.param(room, marks=survival) for room in (900, 1500))]
-)  # kB beside which it starts
+)  # kB that are free when the run is resumed
 def test_run_full_disk_keeps_the_last_complete_checkpoint(room, small_disk, tmp_path):
     path = small_disk / "run"
     command = [*CAR, "algo=rnd", "checkpoint_every=4", "total_steps=100_000_000", "resume=auto"]
@@ -253,7 +253,7 @@ def test_run_full_disk_keeps_the_last_complete_checkpoint(room, small_disk, tmp_
 
 @survival
 def test_run_half_an_hour_keeps_memory_files_and_speed(tmp_path):
-    """Memory flat within 2%, no file left open, the rate steady."""
+    """Check that memory grows by less than 2%, files are closed, and the speed is constant."""
     path, seconds = tmp_path / "run", 1800
     command = ["env=MountainCar", "algo=snd_vic", "total_steps=10_000_000_000", f"run_dir={path}"]
     with running(command, tmp_path) as process:
@@ -278,5 +278,5 @@ def test_run_half_an_hour_keeps_memory_files_and_speed(tmp_path):
     )
     check_nothing_lost(path, len(entries))
     assert max(memory) < 1.02 * min(memory)
-    assert max(files[6:]) - min(files[6:]) <= 2  # a checkpoint being written
+    assert max(files[6:]) - min(files[6:]) <= 2  # the files of a checkpoint that is being written
     assert rate[1] > 0.9 * rate[0]

@@ -18,7 +18,7 @@ from sndjax.grid import OBJECTIVES, SIGNALS
 
 VENTURE = ["env=Venture", "algo=snd_std"]
 
-# The table of intrinsic scales, as published per environment; 0.5 where it is empty.
+# The intrinsic scales that were published for each environment; 0.5 where the table is empty.
 ALL = {"rnd": 1, "icm": 1, "sp": 1, "snd_v": 0.5, "qrnd": 0.5, "sp_vic": 0.5, "sp_vinv": 0.5}
 ATARI = ALL | {"snd_vic": 0.25, "snd_vinv": 0.5, "snd_barlow": 0.5, "snd_byol": 0.5}
 PROCGEN = ALL | {"snd_vic": 0.5, "snd_vinv": 0.5}
@@ -231,7 +231,7 @@ def test_run_help_names_every_environment_algorithm_and_option():
         assert f"  {name}" in text
 
 
-def test_load_config_refused_input_imports_no_jax():
+def test_run_refused_input_imports_no_jax():
     code = """
 import sys
 from experiments.run import main

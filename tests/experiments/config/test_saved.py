@@ -38,7 +38,7 @@ def test_load_resumed_user_module_must_be_on_the_command_line(tmp_path):
         load_config([f"resume={tmp_path}", "algo.module=other.py:mine"])
 
 
-def test_read_saved_stored_configuration_equals_the_original(tmp_path):
+def test_load_resumed_stored_configuration_equals_the_original(tmp_path):
     made = load_config([*VENTURE, "seed=3", "algo.shuffle=true", "env.options.mode=1"])
     (tmp_path / "config.yaml").write_text(text_of(made))
     again = load_config([f"resume={tmp_path}"])
@@ -52,7 +52,7 @@ def test_read_saved_stored_configuration_equals_the_original(tmp_path):
             load_config([f"resume={tmp_path}", other])
 
 
-def test_read_saved_option_newer_than_the_file_takes_its_default():
+def test_check_settings_option_newer_than_the_file_takes_its_default():
     config = load_config(["env=Venture", "algo=rnd"])
     old = {name: value for name, value in run_settings(config).items() if name != "network"}
     check_settings(config, old)
@@ -74,7 +74,7 @@ def test_read_saved_file_without_a_configuration_is_refused(tmp_path, text):
 
 @pytest.fixture
 def run(tmp_path):
-    """A directory with the configuration of a run in it."""
+    """Return a directory that holds the configuration of a run."""
     made = load_config([*VENTURE, "seed=3", "total_steps=100000"])
     (tmp_path / "config.yaml").write_text(text_of(made))
     return tmp_path
@@ -115,7 +115,7 @@ def test_load_resumed_total_steps_can_grow_but_not_shrink(run):
             load_config([f"resume={run}", f"total_steps={value}"])
 
 
-def test_load_resumed_auto_starts_or_resumes(run, tmp_path):
+def test_load_resumed_or_new_auto_starts_a_missing_run_and_resumes_an_existing_one(run, tmp_path):
     same = [*VENTURE, "seed=3", "total_steps=100000", "resume=auto"]
     begun = load_config([*same, f"run_dir={tmp_path / 'new'}"])
     assert (begun.resume, begun.run_dir) == (None, str(tmp_path / "new"))
@@ -152,8 +152,8 @@ def test_load_repeated_run_gets_a_separate_directory(run):
 
 
 @pytest.mark.parametrize(("what", "other"), [("objective", "byol"), ("signal", "noveld")])
-def test_load_resumed_named_algorithm_of_another_cell_is_refused(tmp_path, what, other):
-    """No configuration records one algorithm and trains another."""
+def test_load_resumed_other_objective_or_signal_is_refused(tmp_path, what, other):
+    """Check that no configuration can name one algorithm and train another."""
     made = load_config(["env=MountainCar", "algo=snd_vic"])
     own = getattr(made.algo, what)
     changed = text_of(made).replace(f"  {what}: {own}", f"  {what}: {other}")

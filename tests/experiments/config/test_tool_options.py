@@ -49,6 +49,6 @@ def test_parse_arguments_bad_input_raises_with_the_option_named(given, said):
         parse_arguments(given, Own)
 
 
-def test_tool_help_of_options_names_each():
+def test_tool_help_options_are_all_named():
     text = tool_help("About.", Own)
     assert all(name in text for name in ("out=report", "live=False", "states=100", "how fast"))

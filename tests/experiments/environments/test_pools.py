@@ -1,4 +1,4 @@
-"""Against envpool itself, on real Atari, Procgen and classic control."""
+"""Compare the pools with envpool and Gymnasium, on real environments."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ def config(name, *more):
     return load_config([f"env={name}", "algo=rnd", *more]).env
 
 
-def test_FrameStack_single_frames_equal_envpool_stacks_across_resets():
+def test_push_frame_single_frames_equal_envpool_stacks_across_resets():
     env = config("Venture", "env.options.max_episode_steps=13")
     pool = make_pool(env, [3], 4)
     theirs = envpool.make(
@@ -45,7 +45,7 @@ def test_FrameStack_single_frames_equal_envpool_stacks_across_resets():
     assert resets >= 12
 
 
-def test_FrameStack_procgen_begins_with_zeros():
+def test_push_frame_first_procgen_stack_begins_with_zeros():
     env = config("Climber")
     assert (env.stack, env.repeat_first) == (2, False)
     pool = make_pool(env, [0], 2)
@@ -98,7 +98,7 @@ def test_make_pool_mountain_car_rewards_only_the_goal():
     pool = make_pool(config("MountainCar"), [0], 1)
     frame = pool.reset()
     goals = 0
-    for _ in range(1000):  # swing with the velocity: the known way up
+    for _ in range(1000):  # accelerating in the direction of the velocity reaches the goal
         step = pool.step(np.where(frame[..., 1] >= 0, 2, 0))
         frame = step.frame
         if step.reward[0, 0]:
@@ -123,11 +123,11 @@ def test_make_pool_atari_reward_is_the_sign_and_rooms_come_from_ram():
         step = pong.step(np.zeros((1, 8)))
         rewards.append(step.reward)
         scores.append(step.score)
-    assert np.min(scores) == -1  # standing still loses points
+    assert np.min(scores) == -1  # a player that does not move loses points
     np.testing.assert_array_equal(np.maximum(0, np.sign(scores)), rewards)
 
 
-def test_make_pool_seeds_and_resumed_runs_have_separate_streams():
+def test_env_seeds_other_seed_or_start_gives_a_separate_stream():
     streams = [env_seeds(seed, 8, start) for seed in (0, 1) for start in (0, 50)]
     assert len({s for stream in streams for s in stream}) == 32
     assert env_seeds(0, 8, 0) == env_seeds(0, 16, 0)[:8]
@@ -166,7 +166,7 @@ def test_make_pool_other_tasks_give_vectors(task, size, unbounded):
     assert np.all(np.isfinite(pool.step(np.zeros((1, 3))).frame))
 
 
-def test_make_pool_dict_observations_are_concatenated():
+def test_VectorReader_dict_observations_are_concatenated():
     space = gym.spaces.Dict(
         {
             "b": gym.spaces.Box(0, 10, (2,), np.float32),
@@ -187,7 +187,7 @@ def test_make_pool_dict_observations_are_concatenated():
     assert reader.unbounded == (False,) * 7 + (True,)
 
 
-def test_make_pool_unsupported_task_is_refused_by_name():
+def test_family_of_unsupported_task_is_refused_by_name():
     assert family_of("Pong-v5") == "atari"
     assert family_of("JumperExploration-v0") == "procgen"
     assert family_of("CartPole-v1") == "plain"
@@ -215,7 +215,7 @@ family_of("JumperExploration-v0")
 """
 
 
-def test_make_pool_without_qt_refuses_procgen_only():
+def test_family_of_without_qt_refuses_only_procgen():
     done = subprocess.run([sys.executable, "-c", PLAIN_SYSTEM], capture_output=True, text=True)
     assert done.stdout == "atari\n"
     refusal = done.stderr.splitlines()[-1]
@@ -224,7 +224,7 @@ def test_make_pool_without_qt_refuses_procgen_only():
 
 
 class Corridor(gym.Env):
-    """A user's own environment: walk right to the end; an image if asked."""
+    """Environment of a user: walk right to the end; `image` selects pixel observations."""
 
     def __init__(self, image=False, actions=None):
         self.image = image
@@ -255,7 +255,7 @@ gym.register("Corridor-v0", entry_point=Corridor, max_episode_steps=8)
 
 @pytest.mark.parametrize("image", [False, True])
 def test_make_pool_user_environment_of_gymnasium_is_stepped(image):
-    """Against a plain loop over one environment, across ends and resets."""
+    """Compare the pool with a plain loop, across episode ends and resets."""
     env = config("gymnasium", "env.id=Corridor-v0", f"env.options.image={image}")
     pool = make_pool(env, [0, 1], 3)
     assert pool.num_actions == 2
@@ -280,7 +280,7 @@ def test_make_pool_user_environment_of_gymnasium_is_stepped(image):
     pool.close()
 
 
-def test_make_pool_gymnasium_task_equals_gymnasium():
+def test_make_pool_gymnasium_task_repeats_by_seed_and_marks_reset_rows():
     pool = make_pool(config("gymnasium", "env.id=CartPole-v1"), [0], 3)
     frames = [make_pool(config("gymnasium", "env.id=CartPole-v1"), [s], 3).reset() for s in (0, 1)]
     np.testing.assert_array_equal(pool.reset(), frames[0])
@@ -327,7 +327,7 @@ def test_make_pool_minigrid_view_is_one_hot_with_direction():
         for own, look in zip(frame, looks, strict=True):
             cells, direction = own[:-4].reshape(7, 7, 21), own[-4:]
             np.testing.assert_array_equal(cells[..., :20], look["image"])
-            assert not cells[..., 20].any()  # states of theirs are those of doors alone
+            assert not cells[..., 20].any()  # the wrapper has only the states of doors
             assert direction[look["direction"]] == direction.sum() == 1
         action = rng.integers(0, 7, 3)
         frame = pool.step(action[None]).frame[0]
@@ -346,7 +346,7 @@ def test_make_pool_minigrid_death_is_not_rewarded():
     assert deaths > 10
 
 
-def test_make_pool_envpool_minigrid_equals_minigrid_form():
+def test_make_pool_envpool_minigrid_view_has_the_same_layout():
     pool = make_pool(minigrid("env.id=MiniGrid-DoorKey-8x8-v0"), [0, 1], 4)
     frames = pool.reset()
     assert frames.shape == (2, 4, 7 * 7 * 21 + 4)
@@ -358,7 +358,7 @@ def test_make_pool_envpool_minigrid_equals_minigrid_form():
 
 
 def solved(envs, count, steps, **reset):
-    """The share of these never-ending levels that a random walk gets through."""
+    """Return the share of levels without a time limit that a random walk solves."""
     rng = np.random.default_rng(0)
     envs.reset(**reset)
     through = np.zeros(count, bool)
@@ -368,14 +368,14 @@ def solved(envs, count, steps, **reset):
     return through.mean()
 
 
-def test_make_pool_refused_levels_are_broken_and_their_replacements_are_not():
+def test_load_config_refused_minigrid_levels_are_broken_and_replacements_are_not():
     task = FARAMA.removeprefix("minigrid:")
     with pytest.raises(ConfigError, match=f"env=MiniGrid env.id={FARAMA}"):
         minigrid(f"env.id={task}")
     assert minigrid(f"env.id={FARAMA}").suite == "gymnasium"
     options = {"env_type": "gymnasium", "seed": 1, "max_episode_steps": 10**6}
     theirs = envpool.make(task, num_envs=128, **options)
-    # A door at one of three places along a wall of four leads into a corner.
+    # In envpool, a door at one of three places along a wall of four leads into a corner.
     assert 0.55 < solved(theirs, 128, 2000) < 0.8
     right = gym.make_vec(FARAMA, num_envs=16, vectorization_mode="sync", max_steps=10**6)
     assert solved(right, 16, 1500, seed=1) == 1

@@ -43,7 +43,7 @@ def test_AppendLog_changed_before_its_mark_is_refused_and_unchanged(tmp_path):
 
 
 def test_AppendLog_full_disk_writes_no_partial_line(tmp_path):
-    """RLIMIT_FSIZE is the size of the disk: the system writes what fits, then refuses."""
+    """Use RLIMIT_FSIZE as the size of the disk: the system writes what fits, then refuses."""
     code = f"""
 import resource, signal
 from pathlib import Path

@@ -27,11 +27,11 @@ def first_state(name, width=16):
 
 
 def fits(manifest):
-    """Any log will do."""
+    """Accept every manifest."""
 
 
 def restore(path, like, fits=fits):
-    """The newest complete one: its iteration, state, manifest, and the messages about others."""
+    """Return the newest complete iteration, its state and manifest, and messages about others."""
     checkpoints = Checkpoints(path)
     step, manifest, said = checkpoints.find(fits)
     if step is None:
@@ -40,7 +40,7 @@ def restore(path, like, fits=fits):
 
 
 def saved(path, state, steps, returns=()):
-    """Checkpoints of a state that counts its iterations."""
+    """Save a checkpoint of the state at each of some iterations; return the Checkpoints."""
     checkpoints = Checkpoints(path)
     for i, step in enumerate(steps):
         more = {"last100": returns[i] if i < len(returns) else None}
@@ -76,7 +76,7 @@ def test_Checkpoints_save_donated_state_is_written_correctly(state, tmp_path, mo
     checkpoints = Checkpoints(tmp_path)
     mine = jax.tree.map(jnp.copy, state)
     checkpoints.save(0, mine, {})
-    assert checkpoints.newest is None  # it has not waited for the disk
+    assert checkpoints.newest is None  # save returns before the disk has the data
     for leaf in jax.tree.leaves(mine):
         leaf.delete()
     go_on.set()
@@ -93,7 +93,7 @@ def test_Checkpoints_save_donated_state_is_written_correctly(state, tmp_path, mo
     [
         ([None] * 5, [4, 5]),
         ([0.0, 3.0, 1.0, 2.0, 1.0], [2, 4, 5]),
-        ([0.0, 1.0, 1.0, 0.0, 0.0], [3, 4, 5]),  # of two that are best, the newer one
+        ([0.0, 1.0, 1.0, 0.0, 0.0], [3, 4, 5]),  # of two equal best ones, the newer
         ([0.0, 0.0, 0.0, 1.0, 2.0], [4, 5]),
         ([float("nan"), 1.0, float("inf"), 0.0, 0.0], [2, 4, 5]),
     ],
@@ -113,7 +113,7 @@ def test_Checkpoints_resumed_later_checkpoints_are_removed(state, tmp_path):
 
 
 class Bomb:
-    """Would leave a file behind if it were unpickled."""
+    """Object that creates a file when it is unpickled."""
 
     def __init__(self, path):
         self.path = path
@@ -122,8 +122,8 @@ class Bomb:
         return open, (str(self.path), "w")
 
 
-def test_Checkpoints_load_arrays_with_code_are_refused(state, tmp_path, monkeypatch):
-    """However well its manifest is made."""
+def test_read_tree_arrays_with_code_are_refused(state, tmp_path, monkeypatch):
+    """Skip the check of the manifest, so that only the reader of the arrays can refuse."""
     saved(tmp_path, state, [1])
     path, trace = tmp_path / "checkpoints" / "1", tmp_path / "trace"
     np.savez(path / "arrays.npz", **{"policy": np.array([Bomb(trace)], dtype=object)})
@@ -133,7 +133,7 @@ def test_Checkpoints_load_arrays_with_code_are_refused(state, tmp_path, monkeypa
     assert not trace.exists()
 
 
-def test_Checkpoints_saved_arrays_are_read_by_numpy(state, tmp_path):
+def test_Checkpoints_save_arrays_are_readable_by_numpy(state, tmp_path):
     saved(tmp_path, state, [1])
     archive = np.load(tmp_path / "checkpoints" / "1" / "arrays.npz")
     assert len(archive.files) == len(jax.tree.leaves(state))
@@ -188,7 +188,7 @@ def test_Checkpoints_find_all_damaged_raises(state, tmp_path):
         restore(tmp_path, state)
 
 
-def test_Checkpoints_find_state_of_another_iteration_is_refused(state, tmp_path):
+def test_Checkpoints_load_state_of_another_iteration_is_refused(state, tmp_path):
     checkpoints = Checkpoints(tmp_path)
     checkpoints.save(7, state, {})
     checkpoints.wait()
@@ -196,7 +196,7 @@ def test_Checkpoints_find_state_of_another_iteration_is_refused(state, tmp_path)
         restore(tmp_path, state)
 
 
-def test_Checkpoints_find_directory_without_a_number_is_ignored(state, tmp_path):
+def test_Checkpoints_steps_directory_without_a_number_is_ignored(state, tmp_path):
     saved(tmp_path, state, [1])
     for name in ("\u00b2", "-3", "1.5", "x"):
         (tmp_path / "checkpoints" / name).mkdir()
@@ -209,7 +209,7 @@ def test_Checkpoints_load_other_shapes_are_refused(state, tmp_path):
         restore(tmp_path, first_state("snd_vic", width=12))
 
 
-def test_Checkpoints_find_unfinished_write_is_ignored(state, tmp_path, monkeypatch):
+def test_write_tree_interrupted_leaves_no_checkpoint(state, tmp_path, monkeypatch):
     saved(tmp_path, state, [1])
 
     def killed(*_):
@@ -221,7 +221,7 @@ def test_Checkpoints_find_unfinished_write_is_ignored(state, tmp_path, monkeypat
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["1"]
 
 
-def test_Checkpoints_save_failed_write_raises_at_the_next_save(state, tmp_path, monkeypatch):
+def test_Checkpoints_wait_failed_save_raises_and_keeps_the_previous(state, tmp_path, monkeypatch):
     checkpoints = saved(tmp_path, state, [1])
 
     def full(*_):
@@ -236,7 +236,7 @@ def test_Checkpoints_save_failed_write_raises_at_the_next_save(state, tmp_path, 
 
 
 @pytest.mark.survival
-def test_Checkpoints_save_many_times_keeps_memory_constant(tmp_path):
+def test_write_tree_many_times_keeps_memory_constant(tmp_path):
     code = f"""
 from pathlib import Path
 import numpy as np

@@ -17,7 +17,7 @@ def test_EpisodeTracker_any_split_of_rows_equals_a_plain_loop(seed, length):
     rewards = tuple(rng.integers(-3, 4, shape).astype(np.float32) for _ in range(3))
     room = rng.integers(0, 4, shape).astype(np.uint8)
     for reward in rewards:
-        reward[~valid] = np.nan  # what reset rows hold counts for nothing
+        reward[~valid] = np.nan  # values in reset rows must be ignored
     tracker, got = EpisodeTracker([7, 8], envs, rooms=True), [[], []]
     for start in range(0, steps, length):
         rows = slice(start, start + length)

@@ -18,7 +18,7 @@ def test_read_run_several_seeds_are_separate(tmp_path):
     assert run.steps == 256
 
 
-def test_read_run_half_written_line_is_left_out_and_named(tmp_path):
+def test_find_runs_half_written_line_is_left_out_and_named(tmp_path):
     path = made(tmp_path / "a", CAR, EPISODES)
     for name, text in (("metrics.jsonl", '{"step": 3'), ("episodes.csv", "1,99,10,1")):
         with (path / name).open("a") as file:

@@ -59,7 +59,7 @@ def test_RunDirectory_without_write_permission_is_refused(tmp_path):
             RunDirectory(at(tmp_path / "run"))
 
 
-def test_RunDirectory_default_is_named_by_environment_and_algorithm():
+def test_new_run_path_default_is_named_by_environment_and_algorithm():
     path = new_run_path(CONFIG)
     assert path.parts[:3] == ("runs", "Venture", "rnd")
     assert path != new_run_path(CONFIG)

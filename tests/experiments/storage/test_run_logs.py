@@ -17,7 +17,7 @@ ENTRY = {
 
 
 def filled(path, iterations=3, marked=0):
-    """Records of some iterations, and their manifest as it was after one of them."""
+    """Return the logs of some iterations, and the manifest after iteration `marked`, if given."""
     path.mkdir(exist_ok=True)
     records, manifest = RunLogs(path, [4, 5], rooms=True, marks={}), None
     for k in range(1, iterations + 1):
@@ -33,7 +33,7 @@ def filled(path, iterations=3, marked=0):
     return (records, manifest) if marked else records
 
 
-def test_RunLogs_write_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
+def test_RunLogs_log_iteration_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
     records = filled(tmp_path)
     line = records.log_iteration(0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf})
     records.flush()
@@ -50,7 +50,7 @@ def test_RunLogs_write_lines_are_json_without_nan_and_episodes_are_csv(tmp_path)
     assert any((tmp_path / "tensorboard" / "seed_5").iterdir())
 
 
-def test_RunLogs_write_reward_not_finite_is_null_in_every_file(tmp_path):
+def test_RunLogs_log_iteration_reward_not_finite_is_null_in_every_file(tmp_path):
     records = filled(tmp_path)
     worse = Episode(4, 32, 3, math.nan, math.inf, 0.1, 2)
     line = records.log_iteration(0, [worse], ENTRY | {"step": 32})
@@ -71,7 +71,7 @@ def test_RunLogs_write_reward_not_finite_is_null_in_every_file(tmp_path):
     assert math.isnan(again.summaries[0].last100)
 
 
-def test_RunLogs_summary_has_one_object_per_seed(tmp_path):
+def test_RunLogs_summarize_two_seeds_writes_one_object_per_seed(tmp_path):
     records = filled(tmp_path)
     records.summarize(24)
     seeds = json.loads((tmp_path / "summary.json").read_text())["seeds"]
@@ -111,7 +111,7 @@ def test_RunLogs_resumed_cuts_later_lines_and_counts_earlier_ones(tmp_path):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
 
 
-def test_RunLogs_resumed_logs_changed_before_the_checkpoint_are_refused(tmp_path):
+def test_check_logs_changed_before_the_checkpoint_are_refused(tmp_path):
     records, manifest = filled(tmp_path / "a", 3, marked=2)
     records.close()
     check_logs(tmp_path / "a", [4, 5], manifest["logs"])

@@ -1,4 +1,4 @@
-"""Read back with tensorboardX's own records: no other reader is among the requirements."""
+"""Read the files with the records of tensorboardX: the requirements hold no other reader."""
 
 from helpers.processes import events
 
@@ -25,7 +25,7 @@ def test_TensorBoardWriter_resumed_run_has_one_curve(tmp_path):
     boards = TensorBoardWriter(tmp_path, [4])
     boards.add(line(8), 1.0)
     boards.add(line(16), 2.0)
-    boards.flush()  # and is killed
+    boards.flush()  # the run is killed here
     again = TensorBoardWriter(tmp_path, [4])
     again.add(line(8), 1.0)
     again.add(line(16), 3.0)

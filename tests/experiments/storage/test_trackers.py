@@ -1,4 +1,4 @@
-"""What trackers are sent, read back from their own stores."""
+"""Read what was sent to the trackers from the stores of MLflow and Weights & Biases."""
 
 import json
 import os
@@ -16,7 +16,7 @@ MINE = [*CAR, "algo=snd_vic", "algo.minibatch_size=64", "tracker=mlflow", "group
 
 
 def stored(tmp_path):
-    """MLflow's runs by name, with the history of one figure."""
+    """Return status, parameters and the history of the entropy of each MLflow run, by name."""
     from mlflow import MlflowClient
 
     client = MlflowClient(tracking_uri=(tmp_path / "mlruns").as_uri())

@@ -15,7 +15,7 @@ def test_Interrupts_signal_waits_for_a_safe_point(number):
     with Interrupts() as interrupts:
         interrupts.begin()
         os.kill(os.getpid(), number)
-        time.sleep(0.01)  # nothing is raised here
+        time.sleep(0.01)  # no exception is raised here
         with pytest.raises(Interrupted) as stopped:
             interrupts.check()
     assert stopped.value.status == 128 + number
@@ -38,7 +38,7 @@ def test_Interrupts_signal_in_a_wait_with_grace_ends_it_after_the_grace():
         interrupts.begin()
         with interrupts.waiting(5):
             os.kill(os.getpid(), signal.SIGTERM)
-            time.sleep(0.2)  # it ends by itself: its result is kept
+            time.sleep(0.2)  # the wait ends within the grace: its result is kept
         with pytest.raises(Interrupted):
             interrupts.check()
     with Interrupts() as interrupts:
@@ -52,7 +52,7 @@ def test_Interrupts_signal_in_a_wait_with_grace_ends_it_after_the_grace():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_Interrupts_signal_before_the_start_ends_the_process(number):
-    """Also where an exception would be swallowed."""
+    """Send the signal in `__del__`, where Python ignores exceptions."""
     code = (
         "import os, signal, time\nfrom experiments.system.interrupts import Interrupts\n"
         "class Loud:\n    def __del__(self):\n"
@@ -68,7 +68,7 @@ def test_Interrupts_signal_before_the_start_ends_the_process(number):
 def test_Interrupts_exception_swallowed_in_a_wait_is_raised_again(capfd):
     class Slow:
         def __del__(self):
-            time.sleep(0.5)  # what is raised in here goes nowhere
+            time.sleep(0.5)  # Python ignores an exception that is raised here
 
     def del_slowly_and_wait():
         Slow()

@@ -1,4 +1,4 @@
-"""Several devices compute what one computes: real runs on forced host devices and two processes."""
+"""Compare real runs on forced host devices and in two processes with a run on one device."""
 
 import json
 import os
@@ -14,9 +14,9 @@ from helpers.processes import ROOT
 CAR = ["env=MountainCar", "num_envs=8", "rollout_length=64", "ppo.minibatch_size=256"]
 CAR += ["algo.minibatch_size=256", "ppo.epochs=2"]
 PLAIN = ["algo=snd_vic"]
-# Memory of every environment's episode, stacks, and draws in the loss.
+# Episodic memory of every environment, frame stacks, and random numbers in the loss.
 EPISODIC = ["algo=grid", "algo.objective=contrastive", "algo.signal=ngu", "env.stack=2"]
-STEPS = 512  # an iteration
+STEPS = 512  # in an iteration
 
 
 def start(path, devices, *arguments, **more):
@@ -42,7 +42,7 @@ def log(path):
 
 
 def assert_same(path, other, tolerance=1e-3):
-    """The same episodes, and figures as near as sums in another order come out."""
+    """Check that episodes are the same, and figures equal up to the order of summation."""
     mine, theirs = log(path), log(other)
     assert len(mine) == len(theirs) >= 5
     for a, b in zip(mine, theirs, strict=True):
@@ -57,7 +57,7 @@ def assert_same(path, other, tolerance=1e-3):
     episodes, others = (
         np.genfromtxt(p / "episodes.csv", delimiter=",", names=True) for p in (path, other)
     )
-    assert episodes.size >= 8  # every environment's first
+    assert episodes.size >= 8  # at least the first of every environment
     for name in ("seed", "step", "length", "ext_return", "score"):
         np.testing.assert_array_equal(episodes[name], others[name])
     np.testing.assert_allclose(episodes["int_return"], others["int_return"], tolerance)
@@ -65,7 +65,7 @@ def assert_same(path, other, tolerance=1e-3):
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
-    """Runs on one device, by what they train and how often."""
+    """Return a function that gives a run on one device, by its algorithm and number of seeds."""
     found = {}
 
     def of(algo, seeds):
@@ -99,7 +99,7 @@ def test_run_environments_that_devices_cannot_divide_is_refused(tmp_path):
 
 
 def both(path, *arguments):
-    """The two processes of a run."""
+    """Start the two processes of a run."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
         place = f"localhost:{free.getsockname()[1]}"
@@ -109,7 +109,7 @@ def both(path, *arguments):
 
 
 def test_run_two_processes_train_together_and_each_can_resume(alone, tmp_path):
-    """Or one process does, alike."""
+    """Resume the run also in one process, with the same results."""
     finish(*both(tmp_path / "run"))
     assert_same(tmp_path / "run", alone(PLAIN, 1))
     shutil.copytree(tmp_path / "run", tmp_path / "other")
@@ -129,7 +129,7 @@ def test_run_two_processes_bad_directory_of_one_stops_both(tmp_path):
         assert "is not empty" in err or "some hosts were refused" in err
 
 
-def test_run_one_process_of_two_times_out_with_what_is_missing(tmp_path):
+def test_run_distributed_without_coordinator_names_the_missing_variable(tmp_path):
     process = start(tmp_path / "run", 1, *PLAIN, "distributed=true")
     _, err = process.communicate(timeout=120)
     assert process.returncode == 2

@@ -1,4 +1,4 @@
-"""A rollout against a plain loop over the same environments."""
+"""Compare a rollout with a plain loop over the same environments."""
 
 import functools
 
@@ -17,7 +17,7 @@ from sndjax.rollout import make_frame_stacker
 
 
 @pytest.mark.parametrize("groups", [1, 2])
-def test_collect_rollout_arrays_equal_those_of_environments_and_policy(groups):
+def test_Collector_collect_arrays_equal_those_of_environments_and_policy(groups):
     config = load_config(
         ["env=Venture", "algo=rnd", "num_seeds=2", "env.options.max_episode_steps=6",
          "num_envs=4", "rollout_length=16", "ppo.minibatch_size=64", "algo.minibatch_size=64"]
@@ -69,7 +69,7 @@ def test_collect_rollout_arrays_equal_those_of_environments_and_policy(groups):
 
 
 @pytest.mark.parametrize(("network", "size"), [("thesis", sndjax.PROCGEN), ("small", sndjax.SMALL)])
-def test_build_experiment_pixels_use_the_chosen_network(network, size):
+def test_build_agent_pixels_use_the_chosen_network(network, size):
     config = load_config(["env=Jumper", "algo=snd_vic", f"network={network}", "num_envs=4"])
     pools = make_pools(config.env, config.seeds, config.num_envs)
     agent = build_agent(config, pools[0])
@@ -80,7 +80,7 @@ def test_build_experiment_pixels_use_the_chosen_network(network, size):
     assert kernels[0] == ((4, 4, 3, 16) if network == "small" else (3, 3, 3, 32))
 
 
-def test_load_config_network_for_vectors_is_refused():
+def test_build_agent_network_for_vectors_is_refused():
     config = load_config(["env=MountainCar", "algo=rnd", "network=small"])
     with pytest.raises(ConfigError, match="is for pixels; MountainCar-v0 has none"):
         build_agent(config, make_pools(config.env, config.seeds, 2)[0])

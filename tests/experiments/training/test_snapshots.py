@@ -9,7 +9,7 @@ from experiments.training.snapshots import SIDE, SnapshotWriter, most_novel_imag
 from sndjax import Rollout
 
 
-def test_most_rewarded_equals_a_plain_count():
+def test_most_rewarded_random_rewards_finds_the_highest_of_each_environment():
     draw = np.random.default_rng(0)
     reward, valid = draw.normal(size=(9, 4)), draw.random((9, 4)) < 0.6
     found = most_rewarded(reward, valid)
@@ -28,7 +28,7 @@ def rollout_of(frames):
     return Rollout(frames, np.zeros(rows, np.int32), no, no, yes)
 
 
-def test_most_novel_image_is_written_to_tensorboard(tmp_path):
+def test_most_novel_image_of_pixels_is_written_to_tensorboard(tmp_path):
     frames = np.zeros((4, 2, 64, 64, 3), np.uint8)
     frames[1, 0, ..., 0] = 200  # red, the most novel
     frames[2, 1, ..., 2] = 100  # blue
@@ -48,7 +48,7 @@ def test_most_novel_image_is_written_to_tensorboard(tmp_path):
     assert shown[80, 240].tolist() == [100, 0, 0]
 
 
-def test_SnapshotWriter_feature_spread_equals_that_of_the_features():
+def test_SnapshotWriter_feature_percentiles_equal_those_of_the_covariance_eigenvalues():
     module = sndjax.snd_vic(3, sndjax.VECTOR)
     agent = sndjax.AgentSpec(
         sndjax.ActorCritic(sndjax.VECTOR, 3),
