@@ -1,8 +1,9 @@
 """Write one page about runs, finished or not: sndjax report runs/ --out report
 
 The page shows learning curves, the thesis' tables with our numbers beside the published ones, and
-statistics over seeds. Writes one self-contained HTML file, and each part as PNG, SVG and CSV. With
---live the page is written again every half minute, and it reloads itself.
+statistics over seeds. Symbolic links to runs are followed. Writes one self-contained HTML file, and
+each part as PNG, SVG and CSV. With --live the page is written again every half minute, and it
+reloads itself.
 """
 
 import time
@@ -32,11 +33,12 @@ def report(paths: list[Path], options: Options) -> None:
     if not paths:
         raise ConfigError("give the directories: sndjax report runs/")
     from .reporting.run_report import REFRESH_SECONDS, write_report
+    from .storage.read_runs import RunReader
 
-    out = Path(options.out)
+    out, reader = Path(options.out), RunReader()
     while options.live:
         try:
-            write_report(paths, out, live=True)
+            write_report(paths, out, live=True, reader=reader)
         except ConfigError as error:  # no runs yet
             print(error, flush=True)
         time.sleep(REFRESH_SECONDS)

@@ -1,6 +1,7 @@
 """Print the table of a sweep: sndjax seed_table DIR --out docs/results/explores/NAME
 
-Reads every run in the directories, or a NAME.json of an earlier call, and prints a Markdown table:
+Reads every run in the directories, also behind symbolic links, or a NAME.json of an earlier call,
+and prints a Markdown table:
 the external return of the last 100 episodes of each seed, the mean over seeds with its 95%
 bootstrap interval, the number of seeds that reach the goal, the mean over all episodes, and the
 seconds of training. Writes NAME.json with the runs' summaries, and NAME.png with a dot for every
@@ -8,6 +9,7 @@ seed.
 """
 
 import sys
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,10 +34,14 @@ def print_table(paths: list[Path], options: Options) -> None:
       ConfigError: there is no finished run.
     """
     from .reporting.seed_table import draw_seeds, load_summaries, markdown_table, write_summaries
+    from .system.display import ProgressBars
 
-    summaries, unfinished = load_summaries(paths)
-    for name in unfinished:
-        print(f"not finished: {name}", file=sys.stderr)
+    with redirect_stdout(sys.stderr), ProgressBars() as bars:  # stdout is for the table
+        summaries, unfinished, left_out = load_summaries(paths, bars)
+    for run in unfinished:
+        print(f"not finished: {run}", file=sys.stderr)
+    for place, reason in left_out:
+        print(f"left out: {place}: {reason}", file=sys.stderr)
     if not summaries:
         raise ConfigError(f"no finished run in {', '.join(map(str, paths))}")
     print("\n".join(markdown_table(summaries, options.goal)))

@@ -2,16 +2,32 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from ..storage.read_runs import RunGroup, SeedData
+from .curve_means import MeanCurve, count_changes, mean_curve, resample_curves
 from .html_page import write_csv
-from .plot_style import display_title, label_steps_axis, line_style, make_panels, plt, save_figure
-from .seed_statistics import bootstrap_interval, exponential_smoothing, resample_curves
+from .plot_style import display_title, label_steps_axis, line_styles, make_panels, save_figure
+from .seed_statistics import exponential_smoothing
+from .seed_steps import differ_in_steps, format_ends
 
 Curve = tuple[np.ndarray, np.ndarray]
+MOST_THIN = 10  # single seeds of a group that are drawn
+MOST_INSIDE = 5  # groups whose legend is inside the axes
+REPEAT: dict[str, Any] = {"marker": "o", "markersize": 4, "markerfacecolor": "none", "alpha": 0.7}
+MARKS: dict[str, dict[str, Any]] = {
+    "end": {"marker": "X", "markersize": 10, "linestyle": "none", "markeredgecolor": "black"},
+    "begin": {"marker": "|", "markersize": 9, "linestyle": "none", "markeredgewidth": 1.5},
+}
+LEGEND = {
+    "seed": {"linewidth": 0.8, "alpha": 0.5, "label": "one seed"},
+    "repeat": {"linewidth": 0.8, "label": "a repeated run, not in the mean"} | REPEAT,
+    "end": {"label": "a seed ends: the mean is over fewer"} | MARKS["end"],
+    "begin": {"label": "a seed's first value: the mean is over more"} | MARKS["begin"],
+}
 
 
 class Quantity(NamedTuple):
@@ -27,12 +43,16 @@ class Quantity(NamedTuple):
 def over_episodes(column: str) -> Callable[[SeedData], Curve | None]:
     """Return a function from a seed to the curve of a column of episodes.csv.
 
-    The values are smoothed as in the thesis (`exponential_smoothing`).
+    The values are smoothed as in the thesis (`exponential_smoothing`). Values that are not finite
+    are left out.
     """
 
     def of(seed: SeedData) -> Curve | None:
         values = seed.episodes[column]
-        return (seed.episodes["step"], exponential_smoothing(values)) if len(values) else None
+        there = np.isfinite(values)
+        if not there.any():
+            return None
+        return seed.episodes["step"][there], exponential_smoothing(values[there])
 
     return of
 
@@ -78,13 +98,91 @@ QUANTITIES = {
 }
 
 
+def held_to_end(seed: SeedData, of: Callable[[SeedData], Curve | None]) -> Curve | None:
+    """Return the curve of a seed, with its last value held until the last step of the seed.
+
+    Args:
+      seed: the seed.
+      of: a function from a seed to its curve.
+    """
+    curve = of(seed)
+    if curve is None or curve[0][-1] >= seed.metrics["step"][-1]:
+        return curve
+    return np.append(curve[0], seed.metrics["step"][-1]), np.append(curve[1], curve[1][-1])
+
+
+class GroupCurves(NamedTuple):
+    """The curves of a group of runs on common steps; the first rows are the seeds."""
+
+    steps: np.ndarray  # [P]
+    seeds: np.ndarray  # [S, P], NaN before the first and after the last step of a seed
+    repeats: np.ndarray  # [R, P], of repeated runs
+    mean: MeanCurve  # over the seeds
+
+
+def group_curves(group: RunGroup, quantity: str) -> GroupCurves | None:
+    """Return the curves of a quantity of a group of runs; None if no seed has the quantity."""
+    of = QUANTITIES[quantity].of
+    seeds = [curve for seed in group.seeds if (curve := held_to_end(seed, of)) is not None]
+    repeats = [curve for seed in group.repeats if (curve := held_to_end(seed, of)) is not None]
+    if not seeds:
+        return None
+    steps, values = resample_curves([*seeds, *repeats])
+    own = values[: len(seeds)]
+    return GroupCurves(steps, own, values[len(seeds) :], mean_curve(own))
+
+
+def draw_group(axes: Any, curves: GroupCurves, look: dict[str, Any], label: str) -> set[str]:
+    """Draw the mean of a group with its interval and marks, its seeds and its repeats.
+
+    All lines are steps: a value holds until the next one. So the mean of one seed is its line.
+
+    Args:
+      axes: matplotlib's axes.
+      curves: the curves.
+      look: the line style of the group.
+      label: the label of the mean.
+
+    Returns:
+      The keys of `LEGEND` that were drawn.
+    """
+    steps, mean = curves.steps, curves.mean
+    drawn = set()
+    thin: dict[str, Any] = {"drawstyle": "steps-post", "linewidth": 0.8}
+    quiet = {"color": look["color"], "linestyle": look["linestyle"], "alpha": 0.35}
+    if 1 < len(curves.seeds) <= MOST_THIN:
+        axes.plot(steps, curves.seeds.T, **thin, **quiet)
+        drawn.add("seed")
+    if 0 < len(curves.repeats) <= MOST_THIN:
+        every = max(1, len(steps) // 8)
+        axes.plot(steps, curves.repeats.T, **thin, **quiet | REPEAT, markevery=every)
+        drawn.add("repeat")
+    axes.fill_between(
+        steps, mean.low, mean.high, step="post", color=look["color"], alpha=0.18, linewidth=0
+    )
+    every = max(1, len(steps) // 12)
+    bold = {**thin, "linewidth": 2.2, "markevery": every, "markersize": 5}
+    axes.plot(steps, mean.mean, **bold, **look, label=label)
+    for name, at in zip(("end", "begin"), count_changes(mean.seeds), strict=True):
+        if len(at):
+            axes.plot(steps[at], mean.mean[at], **MARKS[name], color=look["color"], zorder=4)
+            drawn.add(name)
+    return drawn
+
+
 def draw_curves(
-    groups: list[RunGroup], quantity: str, title: str, out: Path, name: str
+    groups: list[RunGroup],
+    quantity: str,
+    title: str,
+    out: Path,
+    name: str,
+    looks: dict[str, dict[str, Any]] | None = None,
 ) -> Path | None:
     """Draw the curves of a quantity, one for each group of runs that has the quantity.
 
-    The line is the mean over seeds and the band its 95% bootstrap interval. Thin lines are single
-    seeds, if there are at most 10. The curves are also written as a CSV file.
+    The line is the mean over the seeds that run at a step, and the band its 95% bootstrap interval;
+    a mark shows where the number of seeds changes. Thin lines are single seeds and repeated runs,
+    if there are at most `MOST_THIN`. The means are also written as a CSV file.
 
     Args:
       groups: the groups of runs.
@@ -92,40 +190,64 @@ def draw_curves(
       title: of the picture.
       out: the directory of the files.
       name: of the files, without suffix.
+      looks: the line style of each group, by its name; by default chosen for these groups.
 
     Returns:
       The path of the PNG, with an SVG beside it; None if no group has this quantity.
     """
-    axis, of = QUANTITIES[quantity]
-    figure, ((axes,),) = make_panels(1, 1)
-    rows: list[list[str]] = []
-    for group in groups:
-        curves = [curve for curve in map(of, group.seeds) if curve is not None]
-        if not curves:
-            continue
-        steps, values = resample_curves(curves)
-        mean, look = values.mean(0), line_style(group.algo)
-        looks = [other.name for other in groups if other.algo == group.algo]
-        if looks.index(group.name):  # another variant of the same algorithm
-            look["linestyle"] = ("--", ":", "-.")[(looks.index(group.name) - 1) % 3]
-        if len(curves) <= 10:
-            for own in curves:
-                axes.plot(*own, color=look["color"], alpha=0.25, linewidth=0.8)
-        band = bootstrap_interval(values)
-        if band is not None:
-            axes.fill_between(steps, *band, color=look["color"], alpha=0.18, linewidth=0)
-        shown = display_title(group.algo, group.name).replace("$", r"\$")
-        rows += [
-            [group.name, *map(str, row)] for row in zip(steps, mean, *(band or ()), strict=True)
-        ]
-        count = f"{len(curves)} seed{'s' if len(curves) > 1 else ''}"
-        axes.plot(steps, mean, linewidth=2.2, label=f"{shown}, {count}", **look)
-    if not axes.lines:
-        plt.close(figure)
+    looks = looks or group_styles(groups)
+    found = [(group, group_curves(group, quantity)) for group in groups]
+    there = [(group, curves) for group, curves in found if curves is not None]
+    if not there:
         return None
-    write_csv(out / f"{name}.csv", ["runs", "step", "mean", "low", "high"], rows)
+    beside = len(there) > MOST_INSIDE
+    width, height = (11.0, max(4.2, 0.6 + 0.19 * (len(there) + 4))) if beside else (7.2, 4.2)
+    figure, ((axes,),) = make_panels(1, 1, width, height)
+    rows: list[list[Any]] = []
+    drawn: set[str] = set()
+    for group, curves in there:
+        drawn |= draw_group(axes, curves, looks[group.name], curve_label(group, curves))
+        cells = zip(curves.steps, *curves.mean, strict=True)
+        rows += [
+            [group.name, *("" if np.isnan(cell) else str(cell) for cell in row)] for row in cells
+        ]
+    write_csv(out / f"{name}.csv", ["runs", "step", "mean", "low", "high", "seeds"], rows)
     axes.set_title(title.replace("$", r"\$"))
-    axes.set_ylabel(axis)
+    axes.set_ylabel(QUANTITIES[quantity].axis)
     label_steps_axis(axes)
-    axes.legend(frameon=False, fontsize=9)
+    handles = axes.get_legend_handles_labels()[0]
+    handles += [Line2D([], [], color="#4D4D4D", **LEGEND[key]) for key in LEGEND if key in drawn]
+    place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)} if beside else {}
+    axes.legend(handles=handles, frameon=False, fontsize=9 if not beside else 8, **place)
     return save_figure(figure, out, name)
+
+
+def group_styles(groups: list[RunGroup]) -> dict[str, dict[str, Any]]:
+    """Return a line style for each group, by its name; no two are the same."""
+    return line_styles([(group.algo, group.name) for group in groups])
+
+
+def curve_label(group: RunGroup, curves: GroupCurves) -> str:
+    """Return the label of a group: its name, and the number of its seeds and repeated runs."""
+    shown = display_title(group.algo, group.name).replace("$", r"\$")
+    count, every, repeats = len(curves.seeds), len(group.seeds), len(curves.repeats)
+    seeds = f"{count}{f' of {every}' if count < every else ''} seed{'s' if every > 1 else ''}"
+    more = f" and {repeats} repeat{'s' if repeats > 1 else ''}" if repeats else ""
+    return f"{shown}, {seeds}{more}"
+
+
+def curve_notes(groups: list[RunGroup]) -> str:
+    """Describe where the seeds of groups end, where they end at different steps, and repeats."""
+    notes = []
+    for group in groups:
+        shown = display_title(group.algo, group.name)
+        if differ_in_steps(group.seeds):
+            notes.append(f"{shown}: its seeds end at {format_ends(group.seeds)} million steps.")
+        if group.repeats:
+            again = ", ".join(str(seed.seed) for seed in group.repeats)
+            notes.append(f"{shown}: repeated runs of seed {again}, which the mean leaves out.")
+        if max(len(group.seeds), len(group.repeats)) > MOST_THIN:
+            notes.append(
+                f"{shown}: more than {MOST_THIN} seeds, so that single seeds are not drawn."
+            )
+    return "\n".join(notes)

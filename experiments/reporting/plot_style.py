@@ -1,5 +1,7 @@
 """The style of all pictures: an algorithm has the same color and label everywhere."""
 
+from collections.abc import Iterator, Sequence
+from itertools import count, product
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
+
+Look = tuple[str, str, str]  # the color, the line style and the marker of a series
 
 # The palette of Okabe and Ito, with a darker yellow that is visible on white. A second algorithm
 # of the same color is dashed.
@@ -29,6 +33,8 @@ STYLES: dict[str, dict[str, Any]] = {
     "sp_vinv": {"color": "#D55E00", "linestyle": "--"},
 }
 OTHERS = ("#7F7F7F", "#000000", "#E69F00", "#56B4E9", "#0072B2", "#009E73", "#D55E00", "#CC79A7")
+LINES = ("-", "--", ":", "-.")
+MARKERS = ("", "o", "s", "^", "D", "v", "P", "<", ">", "p", "h", "d", "8")
 LABELS = {
     "ppo": "PPO",
     "rnd": "RND",
@@ -48,6 +54,58 @@ def line_style(algo: str) -> dict[str, Any]:
     if algo in STYLES:
         return {"linestyle": "-"} | STYLES[algo]
     return {"color": OTHERS[sum(map(ord, algo)) % len(OTHERS)], "linestyle": ":"}
+
+
+def line_styles(series: Sequence[tuple[str, str]]) -> dict[str, dict[str, Any]]:
+    """Return a line style for each series of a figure; no two are the same.
+
+    The first series of an algorithm has the style of the algorithm, `line_style`. Up to four series
+    of one algorithm have its color where they can, and differ in their lines. More series differ in
+    color, then in line, then in marker. No series has the style of another algorithm of `STYLES`.
+
+    Args:
+      series: the algorithm and the name of each series; a name that is the algorithm is its first.
+
+    Returns:
+      The style of each name: matplotlib's `color`, `linestyle` and `marker`.
+    """
+    ordered = sorted(dict.fromkeys(series), key=lambda one: one[0] != one[1])
+    counts = {algo: sum(other == algo for other, _ in ordered) for algo, _ in ordered}
+    first = dict(reversed(ordered))
+    found: dict[str, dict[str, Any]] = {}
+    used: set[Look] = set()
+    for algo, name in sorted(ordered, key=lambda one: first[one[0]] != one[1]):
+        others = {plain_look(other) for other in STYLES if other != algo}
+        candidates = style_candidates(algo, same_color=counts[algo] <= len(LINES))
+        look = next(look for look in candidates if look not in used | others)
+        used.add(look)
+        found[name] = dict(zip(("color", "linestyle", "marker"), look, strict=True))
+    return found
+
+
+def plain_look(algo: str) -> Look:
+    """Return the color and the line style of an algorithm, and no marker."""
+    own = line_style(algo)
+    return own["color"], own["linestyle"], ""
+
+
+def style_candidates(algo: str, same_color: bool) -> Iterator[Look]:
+    """Yield colors, line styles and markers for the series of an algorithm, the best first.
+
+    Args:
+      algo: the algorithm; its style comes first.
+      same_color: whether the line varies before the color; otherwise the color varies first.
+    """
+    yield plain_look(algo)
+    own_color, own_line, _ = plain_look(algo)
+    colors = list(dict.fromkeys([own_color, *OTHERS]))
+    lines = list(dict.fromkeys([own_line, *LINES]))
+    for marker in MARKERS:
+        for a, b in product(*((colors, lines) if same_color else (lines, colors))):
+            color, line = (a, b) if same_color else (b, a)
+            yield color, line, marker
+    for number in count(1):  # a number as the marker
+        yield own_color, own_line, f"${number}$"
 
 
 def display_name(algo: str) -> str:

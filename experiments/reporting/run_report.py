@@ -3,12 +3,12 @@
 import time
 from pathlib import Path
 
-from ..storage.read_runs import RunData, RunGroup, find_runs, group_runs
+from ..storage.read_runs import RunData, RunGroup, RunReader, find_runs, group_runs
 from ..system.display import ProgressBars
 from ..system.errors import ConfigError
 from ..system.files import safe_file_name
 from .html_page import Section, Table, write_page
-from .learning_curves import QUANTITIES, draw_curves
+from .learning_curves import QUANTITIES, curve_notes, draw_curves, group_styles
 from .thesis_tables import TABLES, improvement_table, seeds_table, thesis_table
 
 REFRESH_SECONDS = 30  # between two reloads of a live page
@@ -17,41 +17,66 @@ THESIS_NOTE = (
     "128 million steps (Atari) or 64 million (Procgen). ± is the standard deviation over runs. "
     "Empty entries were not run."
 )
+CURVES_NOTE = (
+    "A bold line is the mean over the seeds that run at that step, with its 95% bootstrap "
+    "interval. A value holds until the next one. Where a seed ends before others, or has its first "
+    "value after others, a mark shows it, and the mean from there on is over fewer or more seeds."
+)
+REPEATS_NOTE = (
+    "A repeat is a run with the settings and the seed of another run that has at least as many "
+    "steps. The curves show repeats as thin lines with circles. Means, intervals and tables leave "
+    "them out, because a repeat is not another seed."
+)
 
 
-def environment_section(env: str, groups: list[RunGroup], out: Path) -> Section:
-    """Draw the curves of one environment, and return them as a section.
-
-    Args:
-      env: the name of the environment.
-      groups: the groups of runs in this environment.
-      out: the directory of the pictures.
-    """
+def drawn_quantities(groups: list[RunGroup]) -> list[str]:
+    """Return the quantities that are drawn of an environment, keys of `QUANTITIES`."""
     seeds = [seed for group in groups for seed in group.seeds]
     scored = any((seed.episodes["score"] != seed.episodes["ext_return"]).any() for seed in seeds)
-    pictures = []
-    for quantity in ("return", *(["score"] if scored else []), "intrinsic", "rooms"):
+    return ["return", *(["score"] if scored else []), "intrinsic", "rooms"]
+
+
+def environment_sections(groups: list[RunGroup], out: Path, bars: ProgressBars) -> list[Section]:
+    """Draw the curves of each environment, and return a section for each.
+
+    Args:
+      groups: the groups of runs.
+      out: the directory of the pictures.
+      bars: where the progress is shown.
+    """
+    looks = group_styles(groups)
+    own: dict[str, list[RunGroup]] = {}
+    for group in groups:
+        own.setdefault(group.env, []).append(group)
+    notes = {env: "\n".join(filter(None, [CURVES_NOTE, curve_notes(own[env])])) for env in own}
+    sections = {env: Section(env, notes[env]) for env in own}
+    plan = [(env, quantity) for env in own for quantity in drawn_quantities(own[env])]
+    for env, quantity in bars.track("drawing", plan):
         name = f"{safe_file_name(env)}-{quantity}"
-        picture = draw_curves(groups, quantity, env, out, name)
+        picture = draw_curves(own[env], quantity, env, out, name, looks)
         if picture is not None:
-            pictures.append((picture, f"{env}: {QUANTITIES[quantity].axis}"))
-    return Section(env, pictures=pictures)
+            caption = f"{env}: {QUANTITIES[quantity].axis}"
+            sections[env].pictures.append((picture, caption))
+    return list(sections.values())
 
 
-def runs_section(runs: list[RunData]) -> Section:
+def runs_section(runs: list[RunData], groups: list[RunGroup]) -> Section:
     """Make the section with the table of the runs that were read."""
-    head = ["run", "environment", "algorithm", "seeds", "steps per seed", "finished"]
+    repeats = {id(seed) for group in groups for seed in group.repeats}
+    head = ["run", "environment", "algorithm", "seeds", "steps per seed", "finished", "repeats"]
     rows = []
     for run in runs:
         config = run.config
         whole = run.steps >= config.iterations * config.rows
         name = [str(run.path), config.env.name, config.algo.name]
-        rows.append([*name, len(run.seeds), f"{run.steps:,}", "yes" if whole else "no"])
-    return Section("Runs", tables=[Table(head, rows, name="runs")])
+        again = ", ".join(f"seed {seed.seed}" for seed in run.seeds if id(seed) in repeats)
+        rows.append([*name, len(run.seeds), f"{run.steps:,}", "yes" if whole else "no", again])
+    note = REPEATS_NOTE if repeats else ""
+    return Section("Runs", note, tables=[Table(head, rows, name="runs")])
 
 
 def report_sections(
-    runs: list[RunData], left_out: list[tuple[Path, str]], out: Path
+    runs: list[RunData], left_out: list[tuple[Path, str]], out: Path, bars: ProgressBars
 ) -> list[Section]:
     """Make the sections of the page.
 
@@ -59,44 +84,46 @@ def report_sections(
       runs: the runs that could be read.
       left_out: the directories that could not be read, each with the reason.
       out: the directory of the pictures.
+      bars: where the progress is shown.
     """
     groups = group_runs(runs)
-    envs = list(dict.fromkeys(group.env for group in groups))
-    with ProgressBars() as bars:
-        own = lambda env: [group for group in groups if group.env == env]
-        curves = [environment_section(env, own(env), out) for env in bars.track("drawing", envs)]
+    curves = environment_sections(groups, out, bars)
     beside = [thesis_table(table, groups) for table in TABLES]
     sections = [
         *curves,
         Section("Beside the thesis", THESIS_NOTE, tables=beside),
-        Section("Over seeds", tables=[seeds_table(groups), improvement_table(groups)]),
-        runs_section(runs),
+        Section("Over seeds", tables=[seeds_table(groups), improvement_table(groups, bars)]),
+        runs_section(runs, groups),
     ]
     if left_out:
         sections.append(Section("Left out", tables=[Table(["directory", "why"], left_out)]))
     return sections
 
 
-def write_report(paths: list[Path], out: Path, live: bool = False) -> None:
+def write_report(
+    paths: list[Path], out: Path, live: bool = False, reader: RunReader | None = None
+) -> None:
     """Write the report page of all runs in these directories, in their current state.
 
     Args:
-      paths: directories that are runs or contain runs at any depth.
+      paths: directories that are runs or contain runs at any depth, also behind symbolic links.
       out: the directory of the page `index.html` and of its pictures and tables.
       live: whether a browser reloads the page every `REFRESH_SECONDS`.
+      reader: keeps what was read, for the next page about the same runs.
 
     Raises:
       ConfigError: no run could be read.
     """
-    runs, left_out = find_runs(paths)
-    for path, reason in left_out:
-        print(f"left out: {path}: {reason}")
-    if not runs:
-        raise ConfigError(f"nothing to report in {', '.join(map(str, paths))}")
-    out.mkdir(parents=True, exist_ok=True)
+    with ProgressBars() as bars:
+        runs, left_out = find_runs(paths, reader, bars)
+        for path, reason in left_out:
+            print(f"left out: {path}: {reason}")
+        if not runs:
+            raise ConfigError(f"nothing to report in {', '.join(map(str, paths))}")
+        out.mkdir(parents=True, exist_ok=True)
+        sections = report_sections(runs, left_out, out, bars)
     lead = f"{time.strftime('%Y-%m-%d %H:%M')}. A step is one agent step of one environment; an "
     lead += "Atari step is four emulator frames."
     page = out / "index.html"
-    sections = report_sections(runs, left_out, out)
     write_page(page, "sndjax report", lead, sections, REFRESH_SECONDS if live else 0)
     print(f"page: {page.resolve()}", flush=True)

@@ -1,4 +1,4 @@
-"""Statistics over seeds, computed with SciPy, in the shapes that the reports need."""
+"""Statistics over seeds, in the shapes that the reports need."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,6 +14,9 @@ def bootstrap_interval(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the 95% percentile bootstrap interval of a statistic over seeds.
 
+    The numbers are those of `scipy.stats.bootstrap` with the same random numbers. The mean is a
+    product of matrices here, which is much faster for curves.
+
     Args:
       values: [S] or [S, P]; the first axis is resampled.
       statistic: a function of an array and its `axis`, by default the mean.
@@ -27,16 +30,42 @@ def bootstrap_interval(
     """
     if len(values) < 2:
         return None
-    found = stats.bootstrap(
-        (values,),
-        statistic,
-        axis=0,
-        n_resamples=RESAMPLES,
-        method="percentile",
-        vectorized=True,
-        rng=np.random.default_rng(0),
-    )
-    return found.confidence_interval.low, found.confidence_interval.high
+    drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
+    if statistic is np.mean:
+        return percentile_interval(count_draws(drawn) @ values / len(values))
+    return percentile_interval(statistic(values[drawn], axis=1))
+
+
+def count_draws(drawn: np.ndarray) -> np.ndarray:
+    """Count how often each resample holds each item.
+
+    Args:
+      drawn: the items of each resample, int [R, S], from 0 to S - 1.
+
+    Returns:
+      The counts, float64 [R, S].
+
+    >>> count_draws(np.array([[0, 0, 2], [1, 2, 0]])).tolist()
+    [[2.0, 0.0, 1.0], [1.0, 1.0, 1.0]]
+    """
+    resamples, items = drawn.shape
+    places = drawn + items * np.arange(resamples)[:, None]
+    counts = np.bincount(places.ravel(), minlength=drawn.size)
+    return counts.reshape(resamples, items).astype(float)
+
+
+def percentile_interval(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the 2.5% and the 97.5% quantile over the first axis, linear between two values.
+
+    They are those of `np.quantile`; one sort of all columns is three times as fast.
+    """
+    ordered = np.sort(found, axis=0)
+
+    def quantile(share: float) -> np.ndarray:
+        below, part = divmod(share * (len(ordered) - 1), 1)
+        return ordered[int(below)] * (1 - part) + ordered[int(below) + 1] * part
+
+    return quantile(0.025), quantile(0.975)
 
 
 def interquartile_mean(values: np.ndarray, axis: int = 0) -> np.ndarray:
@@ -48,6 +77,16 @@ def interquartile_mean(values: np.ndarray, axis: int = 0) -> np.ndarray:
     return stats.trim_mean(values, 0.25, axis=axis)
 
 
+def compare_pairs(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Return 1 where a run of `ours` has more than a run of `theirs`, 1/2 where as much, else 0.
+
+    Returns:
+      [X, Y] for X runs of `ours` and Y runs of `theirs`.
+    """
+    more, same = ours[:, None] > theirs, ours[:, None] == theirs
+    return more + same / 2
+
+
 def probability_of_improvement(ours: np.ndarray, theirs: np.ndarray) -> float:
     """Return P(X > Y) + P(X = Y) / 2 for a run X of `ours` and a run Y of `theirs`.
 
@@ -56,9 +95,7 @@ def probability_of_improvement(ours: np.ndarray, theirs: np.ndarray) -> float:
     >>> probability_of_improvement(np.array([1.0, 2.0]), np.array([1.0, 1.0]))
     0.75
     """
-    if np.ptp(np.concatenate([ours, theirs])) == 0:
-        return 0.5  # SciPy warns if all values are equal
-    return float(stats.mannwhitneyu(ours, theirs).statistic / (len(ours) * len(theirs)))
+    return float(compare_pairs(ours, theirs).mean())
 
 
 def mean_improvement(
@@ -66,7 +103,9 @@ def mean_improvement(
 ) -> tuple[float, tuple[float, float] | None]:
     """Return the mean probability of improvement over tasks, with its 95% bootstrap interval.
 
-    The bootstrap resamples the runs within each task and algorithm.
+    The bootstrap resamples the runs within each task and algorithm. A resample holds a pair of
+    runs as often as the product of their counts, so that all resamples are compared by a product
+    of matrices and no run is compared twice.
 
     Args:
       pairs: for each task, the results of our runs and of their runs.
@@ -78,25 +117,23 @@ def mean_improvement(
     >>> mean_improvement([(np.array([2.0, 3.0]), np.array([0.0, 1.0]))])
     (1.0, (1.0, 1.0))
     """
-    count = len(pairs)
-
-    def mean(*samples):
-        both = zip(samples[:count], samples[count:], strict=True)
-        return float(np.mean([probability_of_improvement(ours, theirs) for ours, theirs in both]))
-
-    samples = [ours for ours, _ in pairs] + [theirs for _, theirs in pairs]
-    value = mean(*samples)
-    if min(map(len, samples)) < 2:
+    wins = [compare_pairs(ours, theirs) for ours, theirs in pairs]
+    value = float(np.mean([task.mean() for task in wins]))
+    if min(min(task.shape) for task in wins) < 2:
         return value, None
-    found = stats.bootstrap(
-        samples,
-        mean,
-        n_resamples=RESAMPLES // 4,
-        method="percentile",
-        vectorized=False,
-        rng=np.random.default_rng(0),
-    )
-    return value, (float(found.confidence_interval.low), float(found.confidence_interval.high))
+    random = np.random.default_rng(0)
+
+    def resample(runs: int) -> np.ndarray:
+        return count_draws(random.integers(0, runs, (RESAMPLES // 4, runs)))
+
+    ours = [resample(task.shape[0]) for task in wins]  # all of ours are drawn first, as by SciPy
+    theirs = [resample(task.shape[1]) for task in wins]
+    each = [
+        ((mine @ task) * other).sum(1) / task.size
+        for mine, task, other in zip(ours, wins, theirs, strict=True)
+    ]
+    low, high = percentile_interval(np.mean(each, axis=0))
+    return value, (float(low), float(high))
 
 
 def exponential_smoothing(values: np.ndarray, weight: float = 0.99) -> np.ndarray:
@@ -110,31 +147,3 @@ def exponential_smoothing(values: np.ndarray, weight: float = 0.99) -> np.ndarra
     if not len(values):
         return values
     return lfilter([1 - weight], [1, -weight], values, zi=[weight * values[0]])[0]
-
-
-def resample_curves(
-    curves: Sequence[tuple[np.ndarray, np.ndarray]], points: int = 200
-) -> tuple[np.ndarray, np.ndarray]:
-    """Resample curves on a common grid of steps; a value holds until the next step of its curve.
-
-    The grid extends from the latest first step to the earliest last step of the curves.
-
-    Args:
-      curves: steps and values of each curve.
-      points: P, of the grid.
-
-    Returns:
-      The steps of the grid [P] and the values [S, P].
-
-    >>> steps, values = resample_curves([([0, 10], [1, 2]), ([0, 5], [3, 4])], 3)
-    >>> steps.tolist(), values.tolist()
-    ([0.0, 2.5, 5.0], [[1.0, 1.0, 1.0], [3.0, 3.0, 4.0]])
-    """
-    start = max(steps[0] for steps, _ in curves)
-    end = min(steps[-1] for steps, _ in curves)
-    grid = np.linspace(start, max(start, end), points)
-    held = [
-        np.asarray(values, float)[np.searchsorted(steps, grid, side="right") - 1]
-        for steps, values in curves
-    ]
-    return grid, np.stack(held)

@@ -1,6 +1,7 @@
 """The table of a sweep: the last return of every seed, the mean with its interval, a picture."""
 
 import json
+from collections.abc import Iterable
 from math import isfinite, nan
 from pathlib import Path
 from statistics import mean, median
@@ -9,13 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..config.saved import CONFIG, read_saved
+from ..config.saved import CONFIG
 from ..config.schema import Config
-from ..storage.read_runs import read_summary
+from ..storage.read_configs import ConfigReader
+from ..storage.read_runs import find_in_places, read_summary
+from ..system.display import ProgressBars
 from ..system.errors import ConfigError
 from ..system.files import write_atomically
 from .plot_style import line_style, make_panels, save_figure
 from .seed_statistics import bootstrap_interval
+from .seed_steps import format_million_steps
 
 WIDE = 44  # characters in a line of a row's label in the picture
 CELL = ("algo.objective=", "algo.signal=")
@@ -63,39 +67,47 @@ def read_summaries(path: Path) -> Any:
         raise ConfigError(f"{path} is not valid JSON") from None
 
 
-def load_summaries(places: list[Path]) -> tuple[Summaries, list[str]]:
-    """Load the summaries of all finished runs.
+class Loaded(NamedTuple):
+    """What was found in the places that were given."""
+
+    summaries: Summaries  # of all finished runs
+    unfinished: list[Path]  # the directories of the runs that are not finished
+    left_out: list[tuple[Path, str]]  # places that could not be searched, with the reason
+
+
+def load_summaries(places: list[Path], bars: ProgressBars | None = None) -> Loaded:
+    """Load the summaries of all finished runs, each run once, also behind symbolic links.
 
     Args:
       places: JSON files of summaries, or directories that contain runs at any depth.
-
-    Returns:
-      The summaries, and the directories of the runs that are not finished.
+      bars: where the progress is shown.
 
     Raises:
       ConfigError: two runs have the same name, or a file is not valid JSON or no configuration.
     """
-    found: Summaries = {}
-    unfinished = []
+    found = Loaded({}, [], [])
+    configs = ConfigReader()
 
     def add(of: Path, more: Summaries) -> None:
         for name in more:
-            if name in found:
+            if name in found.summaries:
                 raise ConfigError(f"{of} is a second run called {name}")
-        found.update(more)
+        found.summaries.update(more)
 
     for place in places:
         if place.suffix == ".json":
             add(place, read_summaries(place))
-            continue
-        for path in sorted(place.rglob(CONFIG)):
-            config, run = read_saved(path).config, path.parent
-            seeds = read_summary(run)
-            if seeds and seeds[0]["steps"] >= config.total_steps:
-                add(run, {row_name(config, run.name, seed["seed"]): seed for seed in seeds})
-            else:
-                unfinished.append(str(run))
-    return found, unfinished
+    runs, problems = find_in_places([place for place in places if place.suffix != ".json"])
+    found.left_out.extend(problems)
+    shown: Iterable[Path] = runs if bars is None else bars.track("reading runs", runs)
+    for run in shown:
+        config, seeds = configs.read(run / CONFIG), read_summary(run)
+        if seeds and seeds[0]["steps"] >= config.total_steps:
+            name = run.resolve().name  # that of the link says nothing about the settings
+            add(run, {row_name(config, name, seed["seed"]): seed for seed in seeds})
+        else:
+            found.unfinished.append(run)
+    return found
 
 
 def row_name(config: Config, directory: str, seed: int) -> str:
@@ -158,7 +170,18 @@ def markdown_table(summaries: Summaries, goal: float) -> list[str]:
             f"{median(seed['wall_seconds'] for seed in of):.0f}",
         ]
         lines.append(f"| {' | '.join(cells)} |")
-    return lines
+    return lines + unequal_steps(table_rows(summaries))
+
+
+def unequal_steps(rows: list[Row]) -> list[str]:
+    """Return a line for each row whose seeds end at different steps, after an empty line."""
+    lines = []
+    for row in rows:
+        steps = [seed["steps"] for seed in row.seeds.values() if "steps" in seed]
+        if len(set(steps)) > 1:
+            ends = format_million_steps(steps)
+            lines.append(f"`{row.name}` on {row.env}: the seeds end at {ends} million steps.")
+    return ["", *lines] if lines else []
 
 
 def draw_seeds(summaries: Summaries, goal: float, path: Path) -> None:

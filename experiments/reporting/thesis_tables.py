@@ -1,15 +1,18 @@
 """The tables of the thesis with our numbers beside them, and tables of statistics over seeds."""
 
 import csv
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..storage.read_runs import RunGroup, SeedData
+from ..system.display import ProgressBars
 from .html_page import Table
 from .plot_style import display_title
 from .seed_statistics import bootstrap_interval, interquartile_mean, mean_improvement
+from .seed_steps import differ_in_steps, format_ends
 
 THESIS = Path(__file__).parents[1] / "data" / "thesis.csv"
 TABLES = {
@@ -66,12 +69,6 @@ def mean_and_std(values: list[float]) -> str:
     return f"{finite.mean():.2f} ± {finite.std():.2f}" if len(finite) else ""
 
 
-def format_steps(group: RunGroup) -> str:
-    """Format the steps of a group's seeds, in millions: the smallest and the largest number."""
-    least, most = (f"{steps / 1e6:.3g}" for steps in group.steps)
-    return least if least == most else f"{least} to {most}"
-
-
 def format_published(number: Published) -> str:
     """Format a number as the thesis prints it."""
     std_text = "" if np.isnan(number.std) else f" ± {number.std:.10g}"
@@ -89,7 +86,7 @@ def thesis_table(table: str, groups: list[RunGroup]) -> Table:
             cells = ["", "", ""]
             if group is not None:
                 found = [value for value in map(quantity, group.seeds) if np.isfinite(value)]
-                cells = [mean_and_std(found), str(len(found)), format_steps(group)]
+                cells = [mean_and_std(found), str(len(found)), format_ends(group.seeds)]
             name = algo if group is None else group.name
             rows.append([env, display_title(algo, name), *cells, format_published(number)])
     head = ["environment", "algorithm", "ours", "seeds", "steps, millions", "thesis"]
@@ -99,8 +96,8 @@ def thesis_table(table: str, groups: list[RunGroup]) -> Table:
 def seeds_table(groups: list[RunGroup]) -> Table:
     """Make the table of each group's statistics over seeds.
 
-    They are the interquartile mean with its 95% interval, and the mean and standard deviation over
-    seeds of the last 100 episodes.
+    They are the interquartile mean with its 95% interval, the mean and standard deviation over
+    seeds of the last 100 episodes, the last step of each seed, and the repeated runs.
     """
     rows = []
     for group in groups:
@@ -120,25 +117,40 @@ def seeds_table(groups: list[RunGroup]) -> Table:
                 f"{interquartile_mean(found):.3g}" if len(found) else "",
                 "" if interval is None else f"{interval[0]:.3g} to {interval[1]:.3g}",
                 mean_and_std(last),
+                format_ends(group.seeds),
+                str(len(group.repeats)),
             ]
         )
     head = ["environment", "algorithm", "seeds", "interquartile mean", "95% interval", "last 100"]
-    caption = "External return per episode over seeds; the last column is of each seed's end"
+    head += ["seeds end at, million steps", "repeats left out"]
+    caption = "External return per episode, over all episodes of each seed until its last step; "
+    caption += "last 100: the last episodes before it"
     return Table(head, rows, caption, "seeds")
 
 
-def improvement_table(groups: list[RunGroup]) -> Table:
+def seeds_of(groups: list[RunGroup], env: str) -> list[SeedData]:
+    """Return the seeds of all groups on one environment."""
+    return [seed for group in groups if group.env == env for seed in group.seeds]
+
+
+def improvement_table(groups: list[RunGroup], bars: ProgressBars | None = None) -> Table:
     """Make the table of the probability that a run of the row beats a run of the column.
 
     A cell is the mean over the environments that both groups have, and is empty if there is none.
+
+    Args:
+      groups: the groups of runs.
+      bars: where the progress is shown.
     """
     returns: dict[str, dict[str, np.ndarray]] = {}
     for group in groups:
         found = np.array([mean_return(seed) for seed in group.seeds])
         returns.setdefault(group.name, {})[group.env] = found[np.isfinite(found)]
     rows = []
-    for ours, own in returns.items():
-        cells = []
+    names = list(returns)
+    shown: Iterable[str] = names if bars is None else bars.track("comparing", names)
+    for ours in shown:
+        own, cells = returns[ours], []
         for theirs, other in returns.items():
             shared = [e for e in own if e in other and len(own[e]) and len(other[e])]
             if ours == theirs or not shared:
@@ -149,4 +161,7 @@ def improvement_table(groups: list[RunGroup]) -> Table:
             cells.append(f"{value:.2f}{around}")
         rows.append([ours, *cells])
     caption = "Probability of improvement: a run of the row beats one of the column (95% interval)"
+    envs = {group.env for group in groups}
+    if any(differ_in_steps(seeds_of(groups, env)) for env in envs):
+        caption += "; not all runs have the same number of steps, see the table above"
     return Table(["", *returns], rows, caption, "improvement")

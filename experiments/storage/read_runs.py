@@ -3,16 +3,19 @@
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..config.saved import CONFIG, read_saved, run_settings
+from ..config.saved import CONFIG, run_settings
 from ..config.schema import Config
 from ..config.validation import validate_config
+from ..system.display import ProgressBars
 from ..system.errors import ConfigError
+from .read_configs import ConfigReader
+from .run_search import find_run_directories
 
 
 class SeedData(NamedTuple):
@@ -47,13 +50,17 @@ def complete_lines(path: Path) -> tuple[list[str], bool]:
     return whole.splitlines(), bool(rest)
 
 
-def read_run(path: Path) -> RunData:
+def read_run(path: Path, configs: ConfigReader | None = None) -> RunData:
     """Read the content of a run directory.
+
+    Args:
+      path: the run directory.
+      configs: the reader of its configuration, if many runs are read.
 
     Raises:
       ValueError: the directory cannot be read; the message says why in a few words.
     """
-    config = validate_config(read_saved(path / CONFIG).config)
+    config = validate_config((configs or ConfigReader()).read(path / CONFIG))
     notes: list[str] = []
     try:
         lines, cut = complete_lines(path / "metrics.jsonl")
@@ -118,34 +125,80 @@ def parse_episodes(rows: list[str]) -> dict[str, np.ndarray]:
     return dict(zip(head, table.T, strict=True))
 
 
-def find_runs(places: Sequence[Path]) -> tuple[list[RunData], list[tuple[Path, str]]]:
-    """Find every run in these directories and below them.
+class RunReader:
+    """A reader of many runs, which reads a run again only after its files have changed."""
+
+    def __init__(self) -> None:
+        """Start without any run in memory."""
+        self.configs = ConfigReader()
+        self.known: dict[Path, tuple[list[tuple[int, int]], RunData]] = {}
+
+    def read(self, path: Path) -> RunData:
+        """Read a run directory, as `read_run`.
+
+        Raises:
+          ValueError: the directory cannot be read.
+        """
+        stamps = []
+        for name in (CONFIG, "metrics.jsonl", "episodes.csv"):
+            try:
+                status = (path / name).stat()
+            except FileNotFoundError:
+                continue
+            stamps.append((status.st_mtime_ns, status.st_size))
+        before = self.known.get(path)
+        if before is not None and before[0] == stamps:
+            return before[1]
+        run = read_run(path, self.configs)
+        self.known[path] = stamps, run
+        return run
+
+
+def find_runs(
+    places: Sequence[Path], reader: RunReader | None = None, bars: ProgressBars | None = None
+) -> tuple[list[RunData], list[tuple[Path, str]]]:
+    """Find every run in these directories and below them, also behind symbolic links.
+
+    Args:
+      places: the directories.
+      reader: keeps what was read, for the next call.
+      bars: where the progress is shown.
 
     Returns:
-      The runs, and each path that was left out, completely or in part, with the reason.
+      The runs, each once, and each path that was left out, completely or in part, with the reason.
     """
-    found: dict[Path, RunData] = {}
+    reader = reader or RunReader()
+    paths, left_out = find_in_places(places)
+    runs = []
+    shown: Iterable[Path] = paths if bars is None else bars.track("reading runs", paths)
+    for path in shown:
+        try:
+            run = reader.read(path)
+        except (ValueError, ConfigError, OSError) as error:
+            left_out.append((path, str(error)))
+            continue
+        left_out += [(path, note) for note in run.notes]
+        if run.steps:
+            runs.append(run)
+        else:
+            left_out.append((path, "no iteration is done yet"))
+    return runs, left_out
+
+
+def find_in_places(places: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
+    """Return the run directories in several places, each real directory once, and the problems."""
+    found: dict[Path, Path] = {}
     left_out: list[tuple[Path, str]] = []
     for place in places:
         if not place.is_dir():
             left_out.append((place, "there is no such directory"))
             continue
-        configs = sorted(place.rglob(CONFIG))
-        if not configs:
+        paths, problems = find_run_directories(place)
+        left_out += problems
+        if not paths:
             left_out.append((place, "no run in it"))
-        for path in (config.parent for config in configs):
-            if path.resolve() in found:
-                continue
-            try:
-                run = read_run(path)
-            except (ValueError, ConfigError, OSError) as error:
-                left_out.append((path, str(error)))
-                continue
-            left_out += [(path, note) for note in run.notes]
-            if run.steps:
-                found[path.resolve()] = run
-            else:
-                left_out.append((path, "no iteration is done yet"))
+        for path in paths:
+            found.setdefault(path.resolve(), path)
     return list(found.values()), left_out
 
 
@@ -155,20 +208,16 @@ class RunGroup(NamedTuple):
     env: str
     algo: str  # as configured
     name: str  # with the settings that differ from other groups of this algorithm
-    seeds: list[SeedData]
+    seeds: list[SeedData]  # the longest run of each seed
     config: Config
-
-    @property
-    def steps(self) -> tuple[int, int]:
-        """The smallest and the largest number of steps of a seed."""
-        counts = [int(seed.metrics["step"][-1]) for seed in self.seeds]
-        return min(counts), max(counts)
+    repeats: Sequence[SeedData] = ()  # the other runs of these seeds
 
 
 def group_runs(runs: list[RunData]) -> list[RunGroup]:
     """Group the seeds of runs with the same settings.
 
-    Where an algorithm has several groups, their names contain the settings that differ.
+    Where an algorithm has several groups, their names contain the settings that differ. Where a
+    seed was run several times, its longest run is kept as the seed and the others are `repeats`.
     """
     kinds: dict[tuple[str, str], dict[str, list[RunData]]] = {}
     for run in runs:
@@ -183,22 +232,25 @@ def group_runs(runs: list[RunData]) -> list[RunGroup]:
         )
         for own, same in zip(parsed, variants.values(), strict=True):
             told = " ".join(f"{name.removeprefix('algo.')}={own[name]}" for name in differing)
-            seeds = longest_run_per_seed(
+            seeds, repeats = split_repeats(
                 [seed for run in same for seed in run.seeds if "step" in seed.metrics]
             )
             name = f"{algo} ({told})" if told else algo
-            groups.append(RunGroup(env, algo, name, seeds, same[0].config))
+            groups.append(RunGroup(env, algo, name, seeds, same[0].config, repeats))
     return groups
 
 
-def longest_run_per_seed(seeds: list[SeedData]) -> list[SeedData]:
-    """Keep the longest run of each seed."""
+def split_repeats(seeds: list[SeedData]) -> tuple[list[SeedData], list[SeedData]]:
+    """Split the runs of seeds into the longest run of each seed and all others, sorted by seed."""
+    longest_first = sorted(seeds, key=lambda seed: (seed.seed, -seed.metrics["step"][-1]))
     best: dict[int, SeedData] = {}
-    for seed in seeds:
-        known = best.get(seed.seed)
-        if known is None or seed.metrics["step"][-1] > known.metrics["step"][-1]:
+    others = []
+    for seed in longest_first:
+        if seed.seed in best:
+            others.append(seed)
+        else:
             best[seed.seed] = seed
-    return [best[number] for number in sorted(best)]
+    return list(best.values()), others
 
 
 def grouping_settings(config: Config) -> dict[str, Any]:

@@ -3,15 +3,19 @@ import json
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.run_files import made
 
 from experiments.report import main
+from experiments.reporting import seed_statistics
 from experiments.reporting.learning_curves import QUANTITIES, draw_curves
 from experiments.reporting.thesis_tables import improvement_table, seeds_table, thesis_table
+from experiments.storage import read_configs
 from experiments.storage.read_runs import find_runs, group_runs
+from experiments.system import display
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -129,8 +133,9 @@ def test_draw_curves_several_seeds_is_their_mean(runs, tmp_path):
     )
     with (tmp_path / "curve.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    # Step 100 is the only common step: the second seed ends there with 1, the first still has 0.
-    assert {(row["step"], row["mean"]) for row in rows} == {("100.0", "0.5")}
+    # The second seed has its only episode at step 100. Both seeds were trained until step 256.
+    found = [(float(row["step"]), float(row["mean"]), row["seeds"]) for row in rows]
+    assert found == [(64, 0.0, "1"), (100, 0.5, "2"), (128, 0.505, "2"), (256, 0.505, "2")]
 
 
 def test_draw_curves_return_always_zero_is_drawn(tmp_path):
@@ -148,11 +153,95 @@ def test_draw_curves_return_always_zero_is_drawn(tmp_path):
     )  # PPO has no intrinsic reward
 
 
-def test_longest_run_per_seed_repeated_seed_is_counted_once(runs):
+def test_tables_repeated_seed_is_counted_once_and_named(runs, tmp_path):
     made(runs / "again", ["env=Venture", "algo=snd_vic"], {0: [(9, 9.0, 9.0)]}, {0: [0.5]})
     made(runs / "without", ["env=Venture", "algo=snd_vic", "seed=7"], {7: []}, {7: [0.5]})
-    mine = rows_of(thesis_table("5.6", group_runs(find_runs([runs])[0])))
-    assert mine["Venture", "SND-VIC"][:3] == ["1.50 ± 0.50", "2", "0.000128 to 0.000256"]
+    groups = group_runs(find_runs([runs])[0])
+    mine = rows_of(thesis_table("5.6", groups))
+    ends = "0.000128 and 0.000256 (2 seeds)"
+    assert mine["Venture", "SND-VIC"][:3] == ["1.50 ± 0.50", "2", ends]
+    assert rows_of(seeds_table(groups))["Venture", "SND-VIC"][-2:] == [ends, "1"]
+    assert rows_of(seeds_table(groups))["MountainCar", "RND"][-2:] == ["0.000256", "0"]
+    assert main([str(runs), f"out={tmp_path / 'out'}"]) == 0
+    with (tmp_path / "out" / "runs.csv").open(newline="") as file:
+        repeats = {Path(row["run"]).name: row["repeats"] for row in csv.DictReader(file)}
+    assert repeats.pop("again") == "seed 0"
+    assert set(repeats.values()) == {""}
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "A repeat is a run with the settings and the seed of another run" in page
+    assert "SND-VIC: repeated runs of seed 0, which the mean leaves out." in page
+
+
+def test_report_seeds_that_end_at_different_steps_says_at_which(tmp_path):
+    for seed, iterations in ((0, 577), (1, 16)):
+        episodes = {seed: [(1000, 0.9 * (1 - seed), 0.0)]}
+        novelty = {seed: [0.5] * iterations}
+        options = ["env=MountainCar", "algo=rnd", f"seed={seed}"]
+        made(tmp_path / "runs" / str(seed), options, episodes, novelty, rows=1000)
+    assert main([str(tmp_path / "runs"), f"out={tmp_path / 'out'}"]) == 0
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "RND: its seeds end at 0.016 and 0.577 million steps." in page
+    assert "not all runs have the same number of steps" in page
+    with (tmp_path / "out" / "seeds.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert row["seeds end at, million steps"] == "0.016 and 0.577"
+
+
+def test_report_runs_of_equal_length_says_nothing_of_steps(runs, tmp_path):
+    assert main([str(runs), f"out={tmp_path / 'out'}"]) == 0
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "end at 0" not in page
+    assert "not all runs have the same" not in page
+
+
+def test_report_folder_of_links_equals_the_report_of_the_runs(runs, tmp_path):
+    links = tmp_path / "links"
+    links.mkdir()
+    for run in runs.iterdir():
+        (links / run.name).symlink_to(run)
+    (links / "circle").symlink_to(links)
+    for place, out in ((runs, "direct"), (links, "linked")):
+        assert main([str(place), f"out={tmp_path / out}"]) == 0
+    for table in ("seeds", "improvement", "table-5.6"):
+        direct = (tmp_path / "direct" / f"{table}.csv").read_text()
+        assert (tmp_path / "linked" / f"{table}.csv").read_text() == direct
+
+
+def test_report_shows_the_progress_of_each_part(runs, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(display, "QUIET_SECONDS", 0)
+    assert main([str(runs), f"out={tmp_path / 'out'}"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name, count in (("reading runs", 3), ("drawing", 8), ("comparing", 3)):
+        expected = [f"{name}: {i} of {count}" for i in range(count + 1)]
+        assert [line for line in lines if line.startswith(name)] == expected
+
+
+def test_report_many_runs_parses_and_compares_little(tmp_path, monkeypatch):
+    parsed, compared = [], []
+    parse, compare = read_configs.parse_saved, seed_statistics.compare_pairs
+    keep = lambda text, where: parsed.append(where) or parse(text, where)
+    monkeypatch.setattr(read_configs, "parse_saved", keep)
+    count = lambda ours, theirs: compared.append(1) or compare(ours, theirs)
+    monkeypatch.setattr(seed_statistics, "compare_pairs", count)
+    for algo in ("ppo", "rnd", "icm"):
+        options = ["env=MountainCar", f"algo={algo}"]
+        first = made(tmp_path / "runs" / algo / "0", options, {0: [(64, 0.0, 0.0)]})
+        for seed in range(1, 8):
+            again = tmp_path / "runs" / algo / str(seed)
+            shutil.copytree(first, again)
+            for name, old, new in (
+                ("config.yaml", "\nseed: 0\n", f"\nseed: {seed}\n"),
+                ("episodes.csv", "\n0,", f"\n{seed},"),
+                ("metrics.jsonl", '"seed": 0', f'"seed": {seed}'),
+            ):
+                text = (again / name).read_text()
+                assert old in text
+                (again / name).write_text(text.replace(old, new))
+    assert main([str(tmp_path / "runs"), f"out={tmp_path / 'out'}"]) == 0
+    assert len(parsed) == 3  # of 24 configurations, which differ in 8 seeds
+    assert len(compared) == 6  # one for each cell of the table, for all of its resamples
+    with (tmp_path / "out" / "seeds.csv").open(newline="") as file:
+        assert [row["seeds"] for row in csv.DictReader(file)] == ["8"] * 3
 
 
 def test_report_environment_name_with_slashes_stays_inside_out(runs, tmp_path):

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from experiments.reporting import seed_statistics
 from experiments.reporting.seed_statistics import (
     bootstrap_interval,
     exponential_smoothing,
     interquartile_mean,
     mean_improvement,
     probability_of_improvement,
-    resample_curves,
 )
 
 
@@ -28,6 +28,23 @@ def test_bootstrap_interval_curve_equals_interval_of_each_point():
     assert low.shape == high.shape == (3,)
     exact = stats.norm.ppf(0.975) * values.std(0) / np.sqrt(6)
     np.testing.assert_allclose((high - low) / 2, exact, rtol=0.2)
+
+
+def interval_of_scipy(samples, statistic, resamples, **options):
+    """Return the percentile interval of scipy.stats.bootstrap, with the seed of the reports."""
+    random = np.random.default_rng(0)
+    found = stats.bootstrap(
+        samples, statistic, n_resamples=resamples, method="percentile", rng=random, **options
+    )
+    return found.confidence_interval
+
+
+@pytest.mark.parametrize("shape", [(2,), (5,), (30,), (3, 4), (9, 50)], ids=str)
+@pytest.mark.parametrize("statistic", [np.mean, interquartile_mean])
+def test_bootstrap_interval_equals_scipy_with_the_same_random_numbers(shape, statistic):
+    values = np.random.default_rng(len(shape)).lognormal(size=shape)
+    expected = interval_of_scipy((values,), statistic, 2000, axis=0, vectorized=True)
+    np.testing.assert_allclose(bootstrap_interval(values, statistic), expected, rtol=1e-12)
 
 
 def test_bootstrap_interval_one_seed_is_none():
@@ -59,6 +76,39 @@ def test_mean_improvement_several_tasks_is_mean_with_interval():
     assert mean_improvement([(np.ones(1), np.zeros(3))]) == (1.0, None)
 
 
+@pytest.mark.parametrize("tasks", [1, 2, 10])
+def test_mean_improvement_equals_scipy_with_the_same_random_numbers(tasks):
+    draw = np.random.default_rng(tasks)
+    some = lambda: draw.integers(0, 5, draw.integers(2, 9)).astype(float)  # with ties
+    pairs = [(some(), some()) for _ in range(tasks)]
+
+    def mean(*samples):
+        each = [
+            stats.mannwhitneyu(ours, theirs).statistic / (len(ours) * len(theirs))
+            for ours, theirs in zip(samples[:tasks], samples[tasks:], strict=True)
+        ]
+        return np.mean(each)
+
+    samples = [ours for ours, _ in pairs] + [theirs for _, theirs in pairs]
+    with np.errstate(invalid="ignore"):  # the p-value of equal values, which nobody reads
+        expected = interval_of_scipy(samples, mean, 500, vectorized=False)
+        value, interval = mean_improvement(pairs)
+        assert value == pytest.approx(mean(*samples), rel=1e-12)
+    np.testing.assert_allclose(interval, expected, rtol=1e-12)
+
+
+def test_mean_improvement_compares_the_runs_of_a_task_once(monkeypatch):
+    compared = []
+    compare = seed_statistics.compare_pairs
+    keep = lambda ours, theirs: compared.append(len(ours)) or compare(ours, theirs)
+    monkeypatch.setattr(seed_statistics, "compare_pairs", keep)
+    monkeypatch.setattr(stats, "mannwhitneyu", None)  # a test of significance for each resample
+    monkeypatch.setattr(stats, "bootstrap", None)
+    pairs = [(np.arange(float(n)), np.arange(1.0, 4.0)) for n in (5, 6, 7)]
+    assert mean_improvement(pairs)[1] is not None
+    assert compared == [5, 6, 7]
+
+
 def test_exponential_smoothing_curve_equals_the_recursion():
     values = np.random.default_rng(4).normal(size=50)
     wanted, last = [], values[0]
@@ -67,11 +117,3 @@ def test_exponential_smoothing_curve_equals_the_recursion():
         wanted.append(last)
     np.testing.assert_allclose(exponential_smoothing(values), wanted)
     assert not len(exponential_smoothing(np.array([])))
-
-
-def test_resample_curves_curves_of_unequal_length_spans_their_overlap():
-    steps, values = resample_curves(
-        [(np.array([2, 8]), np.array([1, 5])), (np.array([0, 6]), [0, 1])], 5
-    )
-    np.testing.assert_array_equal(steps, [2, 3, 4, 5, 6])
-    np.testing.assert_array_equal(values, [[1, 1, 1, 1, 1], [0, 0, 0, 0, 1]])

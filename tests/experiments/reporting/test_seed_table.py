@@ -14,6 +14,7 @@ from helpers.run_files import made
 from experiments.reporting import seed_table
 from experiments.reporting.seed_table import draw_seeds, load_summaries, markdown_table, table_rows
 from experiments.seed_table import main
+from experiments.storage import read_configs
 
 RESULTS = ROOT / "docs" / "results"
 RAW = sorted((RESULTS / "explores").glob("*.json"))
@@ -119,7 +120,8 @@ def test_seed_table_unfinished_run_of_a_sweep_is_named(sweep, tmp_path, capsys):
         "|---|---|---|---|---|---|",
         "| `sp` | - | - | 0 of 1 | 0.00 | 10 |",
     ]
-    (line,) = printed.err.splitlines()
+    *progress, line = printed.err.splitlines()
+    assert progress == ["reading runs: 0 of 6", "reading runs: 6 of 6"]
     assert line.startswith("not finished: ")
     assert line.endswith("MountainCar/icm/0")
     assert main([str(tmp_path / "made.json")]) == 0  # the written file gives the same table
@@ -131,7 +133,7 @@ def test_seed_table_picture_has_a_dot_for_every_seed(sweep, tmp_path, monkeypatc
     save = seed_table.save_figure
     keep = lambda figure, *rest, **of: figures.append(figure) or save(figure, *rest, **of)
     monkeypatch.setattr(seed_table, "save_figure", keep)
-    summaries, _ = load_summaries([sweep])
+    summaries = load_summaries([sweep]).summaries
     draw_seeds(summaries, 0.9, tmp_path / "picture")
     (axes,) = figures[0].axes
     dots = [list(line.get_xdata()) for line in axes.lines if line.get_marker() == "o"]
@@ -167,6 +169,45 @@ def test_seed_table_two_runs_of_one_name_are_refused(sweep, capsys):
     table_of = str(RESULTS / "explores" / "mask.json")
     assert main([table_of, table_of]) == 2
     assert "is a second run called" in capsys.readouterr().err
+
+
+def test_seed_table_folder_of_links_gives_the_table_of_the_runs(sweep, tmp_path, capsys):
+    assert main([str(sweep)]) == 0
+    direct = capsys.readouterr().out
+    links = tmp_path / "links"
+    links.mkdir()
+    for i, run in enumerate(sorted(sweep.glob("*/*/*"))):
+        (links / f"{i}").symlink_to(run)
+        (links / f"{i} again").symlink_to(run)
+    (links / "circle").symlink_to(tmp_path)
+    (links / "gone").symlink_to(tmp_path / "moved")
+    assert main([str(links)]) == 0
+    linked = capsys.readouterr()
+    assert sorted(linked.out.split("\n\n")) == sorted(direct.split("\n\n"))
+    assert f"left out: {links / 'gone'}: a symbolic link to nothing" in linked.err
+
+
+def test_seed_table_seeds_that_end_at_different_steps_says_at_which(tmp_path, capsys):
+    for seed, steps in ((0, 1_003_520), (1, 2_007_040)):
+        place = tmp_path / "MountainCar" / "ppo" / str(seed)
+        summed(place, ["env=MountainCar", "algo=ppo", f"seed={seed}"], {seed: 0.0}, steps)
+    assert main([str(tmp_path)]) == 0
+    expected = "`ppo` on MountainCar: the seeds end at 1.00352 and 2.00704 million steps."
+    assert capsys.readouterr().out.splitlines()[-2:] == ["", expected]
+
+
+def test_load_summaries_runs_of_a_sweep_parses_one_configuration_for_all_seeds(
+    tmp_path, monkeypatch
+):
+    parsed = []
+    parse = read_configs.parse_saved
+    keep = lambda text, where: parsed.append(where) or parse(text, where)
+    monkeypatch.setattr(read_configs, "parse_saved", keep)
+    for seed in range(6):
+        place = tmp_path / "MountainCar" / "ppo" / str(seed)
+        summed(place, ["env=MountainCar", "algo=ppo", f"seed={seed}"], {seed: 0.0})
+    assert len(load_summaries([tmp_path]).summaries) == 6
+    assert len(parsed) == 1
 
 
 def test_seed_table_directory_without_finished_run_is_refused(tmp_path, capsys):

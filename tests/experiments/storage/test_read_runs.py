@@ -2,7 +2,10 @@ import numpy as np
 import pytest
 from helpers.run_files import made
 
-from experiments.storage.read_runs import find_runs, group_runs, read_run
+from experiments.storage import read_runs
+from experiments.storage.read_runs import RunReader, find_runs, group_runs, read_run
+from experiments.system import display
+from experiments.system.display import ProgressBars
 
 CAR = ["env=MountainCar", "algo=rnd", "num_seeds=2"]
 EPISODES = {0: [(64, 0.0, 0.0), (128, 1.0, 2.0)], 1: [(32, 1.0, 1.0)]}
@@ -76,3 +79,54 @@ def test_group_runs_joins_seeds_and_separates_settings(tmp_path):
     ((name, seeds),) = found.items()
     assert name.startswith("rnd (eta=")
     assert sorted(seeds) == [0, 1, 5]
+
+
+def test_find_runs_folder_of_links_reads_each_run_once(tmp_path):
+    runs = [made(tmp_path / "store" / name, CAR, EPISODES) for name in ("a", "b")]
+    links = tmp_path / "links"
+    links.mkdir()
+    for run in runs:
+        (links / run.name).symlink_to(run)
+    (links / "a again").symlink_to(runs[0])
+    (links / "gone").symlink_to(tmp_path / "none")
+    found, left_out = find_runs([links])
+    assert [run.path for run in found] == [links / "a", links / "b"]
+    assert [path for path, _ in left_out] == [links / "gone"]
+    assert len(find_runs([links, tmp_path / "store"])[0]) == 2
+
+
+def test_RunReader_unchanged_run_is_read_once_and_a_grown_one_again(tmp_path, monkeypatch):
+    read, names = read_runs.read_run, []
+    keep = lambda path, *rest: names.append(path.name) or read(path, *rest)
+    monkeypatch.setattr(read_runs, "read_run", keep)
+    made(tmp_path / "done", CAR, EPISODES)
+    running = made(tmp_path / "running", CAR, EPISODES)
+    reader = RunReader()
+    assert [run.steps for run in find_runs([tmp_path], reader)[0]] == [256, 256]
+    with (running / "metrics.jsonl").open("a") as file:
+        file.write('{"step": 384, "seed": 0}\n')
+    assert [run.steps for run in find_runs([tmp_path], reader)[0]] == [256, 384]
+    assert names == ["done", "running", "running"]
+
+
+def test_find_runs_with_bars_prints_the_progress(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(display, "QUIET_SECONDS", 0)
+    for name in ("a", "b"):
+        made(tmp_path / name, CAR, EPISODES)
+    with ProgressBars() as bars:
+        find_runs([tmp_path], None, bars)
+    assert capsys.readouterr().out.splitlines() == [
+        "reading runs: 0 of 2",
+        "reading runs: 1 of 2",
+        "reading runs: 2 of 2",
+    ]
+
+
+def test_group_runs_repeated_seed_is_kept_as_a_repeat_of_the_longest_run(tmp_path):
+    made(tmp_path / "a", CAR, EPISODES, {0: [0.5], 1: [0.5]})
+    made(tmp_path / "b", CAR, EPISODES, {0: [0.5] * 3, 1: [0.5] * 3})
+    made(tmp_path / "c", ["env=MountainCar", "algo=rnd"], {0: EPISODES[0]})
+    (group,) = group_runs(find_runs([tmp_path])[0])
+    lengths = lambda seeds: [(seed.seed, int(seed.metrics["step"][-1])) for seed in seeds]
+    assert lengths(group.seeds) == [(0, 384), (1, 384)]
+    assert lengths(group.repeats) == [(0, 256), (0, 128), (1, 128)]
