@@ -1,7 +1,9 @@
 """Learning curves of groups of runs: the mean over seeds with its 95% bootstrap interval."""
 
 from collections.abc import Callable
+from math import ceil
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +18,10 @@ from .seed_steps import differ_in_steps, format_ends
 
 Curve = tuple[np.ndarray, np.ndarray]
 MOST_THIN = 10  # single seeds of a group that are drawn
+MOST_LINES = 100  # single seeds of a figure that are drawn
 MOST_INSIDE = 5  # groups whose legend is inside the axes
+LEGEND_ROWS = 40
+WIDE = 48  # characters in a line of the legend
 REPEAT: dict[str, Any] = {"marker": "o", "markersize": 4, "markerfacecolor": "none", "alpha": 0.7}
 MARKS: dict[str, dict[str, Any]] = {
     "end": {"marker": "X", "markersize": 10, "linestyle": "none", "markeredgecolor": "black"},
@@ -132,8 +137,33 @@ def group_curves(group: RunGroup, quantity: str) -> GroupCurves | None:
     return GroupCurves(steps, own, values[len(seeds) :], mean_curve(own))
 
 
-def draw_group(axes: Any, curves: GroupCurves, look: dict[str, Any], label: str) -> set[str]:
-    """Draw the mean of a group with its interval and marks, its seeds and its repeats.
+def draw_seeds(axes: Any, curves: GroupCurves, look: dict[str, Any]) -> set[str]:
+    """Draw the single seeds of a group and its repeats as thin lines.
+
+    Args:
+      axes: matplotlib's axes.
+      curves: the curves.
+      look: the line style of the group.
+
+    Returns:
+      The keys of `LEGEND` that were drawn.
+    """
+    drawn = set()
+    steps = curves.steps
+    thin: dict[str, Any] = {"drawstyle": "steps-post", "linewidth": 0.8, "alpha": 0.35}
+    thin |= {"color": look["color"], "linestyle": look["linestyle"]}
+    if len(curves.seeds) > 1:
+        axes.plot(steps, curves.seeds.T, **thin)
+        drawn.add("seed")
+    if len(curves.repeats):
+        every = max(1, len(steps) // 8)
+        axes.plot(steps, curves.repeats.T, **thin | REPEAT, markevery=every)
+        drawn.add("repeat")
+    return drawn
+
+
+def draw_mean(axes: Any, curves: GroupCurves, look: dict[str, Any], label: str) -> set[str]:
+    """Draw the mean of a group with its interval, and marks where the number of seeds changes.
 
     All lines are steps: a value holds until the next one. So the mean of one seed is its line.
 
@@ -146,22 +176,13 @@ def draw_group(axes: Any, curves: GroupCurves, look: dict[str, Any], label: str)
     Returns:
       The keys of `LEGEND` that were drawn.
     """
-    steps, mean = curves.steps, curves.mean
     drawn = set()
-    thin: dict[str, Any] = {"drawstyle": "steps-post", "linewidth": 0.8}
-    quiet = {"color": look["color"], "linestyle": look["linestyle"], "alpha": 0.35}
-    if 1 < len(curves.seeds) <= MOST_THIN:
-        axes.plot(steps, curves.seeds.T, **thin, **quiet)
-        drawn.add("seed")
-    if 0 < len(curves.repeats) <= MOST_THIN:
-        every = max(1, len(steps) // 8)
-        axes.plot(steps, curves.repeats.T, **thin, **quiet | REPEAT, markevery=every)
-        drawn.add("repeat")
+    steps, mean = curves.steps, curves.mean
     axes.fill_between(
         steps, mean.low, mean.high, step="post", color=look["color"], alpha=0.18, linewidth=0
     )
-    every = max(1, len(steps) // 12)
-    bold = {**thin, "linewidth": 2.2, "markevery": every, "markersize": 5}
+    bold: dict[str, Any] = {"drawstyle": "steps-post", "linewidth": 2.2, "markersize": 5}
+    bold["markevery"] = max(1, len(steps) // 12)
     axes.plot(steps, mean.mean, **bold, **look, label=label)
     for name, at in zip(("end", "begin"), count_changes(mean.seeds), strict=True):
         if len(at):
@@ -182,7 +203,7 @@ def draw_curves(
 
     The line is the mean over the seeds that run at a step, and the band its 95% bootstrap interval;
     a mark shows where the number of seeds changes. Thin lines are single seeds and repeated runs,
-    if there are at most `MOST_THIN`. The means are also written as a CSV file.
+    see `shows_seeds`. The means are also written as a CSV file.
 
     Args:
       groups: the groups of runs.
@@ -201,12 +222,16 @@ def draw_curves(
     if not there:
         return None
     beside = len(there) > MOST_INSIDE
-    width, height = (11.0, max(4.2, 0.6 + 0.19 * (len(there) + 4))) if beside else (7.2, 4.2)
-    figure, ((axes,),) = make_panels(1, 1, width, height)
+    columns = ceil((len(there) + len(LEGEND)) / LEGEND_ROWS) if beside else 0
+    tall = 0.6 + 0.19 * min(len(there) + len(LEGEND), LEGEND_ROWS) if beside else 0.0
+    figure, ((axes,),) = make_panels(1, 1, 7.2 + 3.8 * columns, max(4.2, tall))
     rows: list[list[Any]] = []
     drawn: set[str] = set()
     for group, curves in there:
-        drawn |= draw_group(axes, curves, looks[group.name], curve_label(group, curves))
+        look = looks[group.name]
+        if shows_seeds(group, groups):
+            drawn |= draw_seeds(axes, curves, look)
+        drawn |= draw_mean(axes, curves, look, curve_label(group, curves))
         cells = zip(curves.steps, *curves.mean, strict=True)
         rows += [
             [group.name, *("" if np.isnan(cell) else str(cell) for cell in row)] for row in cells
@@ -217,9 +242,20 @@ def draw_curves(
     label_steps_axis(axes)
     handles = axes.get_legend_handles_labels()[0]
     handles += [Line2D([], [], color="#4D4D4D", **LEGEND[key]) for key in LEGEND if key in drawn]
-    place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)} if beside else {}
-    axes.legend(handles=handles, frameon=False, fontsize=9 if not beside else 8, **place)
+    place: dict[str, Any] = {"fontsize": 9}
+    if beside:
+        place = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "fontsize": 8}
+    axes.legend(handles=handles, frameon=False, ncols=max(1, columns), **place)
     return save_figure(figure, out, name)
+
+
+def shows_seeds(group: RunGroup, groups: list[RunGroup]) -> bool:
+    """Return True if the single seeds of a group are drawn: where they are few enough to be seen.
+
+    They are at most `MOST_THIN` in the group, and at most `MOST_LINES` in all groups of the figure.
+    """
+    lines = sum(len(other.seeds) + len(other.repeats) for other in groups)
+    return max(len(group.seeds), len(group.repeats)) <= MOST_THIN and lines <= MOST_LINES
 
 
 def group_styles(groups: list[RunGroup]) -> dict[str, dict[str, Any]]:
@@ -227,27 +263,32 @@ def group_styles(groups: list[RunGroup]) -> dict[str, dict[str, Any]]:
     return line_styles([(group.algo, group.name) for group in groups])
 
 
+def group_title(group: RunGroup) -> str:
+    """Return the name of a group, with the display name of its algorithm."""
+    return display_title(group.algo, group.name)
+
+
 def curve_label(group: RunGroup, curves: GroupCurves) -> str:
     """Return the label of a group: its name, and the number of its seeds and repeated runs."""
-    shown = display_title(group.algo, group.name).replace("$", r"\$")
+    shown = group_title(group).replace("$", r"\$")
     count, every, repeats = len(curves.seeds), len(group.seeds), len(curves.repeats)
     seeds = f"{count}{f' of {every}' if count < every else ''} seed{'s' if every > 1 else ''}"
     more = f" and {repeats} repeat{'s' if repeats > 1 else ''}" if repeats else ""
-    return f"{shown}, {seeds}{more}"
+    return fill(f"{shown}, {seeds}{more}", WIDE, break_long_words=False)
 
 
 def curve_notes(groups: list[RunGroup]) -> str:
-    """Describe where the seeds of groups end, where they end at different steps, and repeats."""
+    """Describe where seeds end, if they end at different steps, and what the figures leave out."""
     notes = []
     for group in groups:
-        shown = display_title(group.algo, group.name)
+        shown = group_title(group)
         if differ_in_steps(group.seeds):
             notes.append(f"{shown}: its seeds end at {format_ends(group.seeds)} million steps.")
         if group.repeats:
             again = ", ".join(str(seed.seed) for seed in group.repeats)
             notes.append(f"{shown}: repeated runs of seed {again}, which the mean leaves out.")
-        if max(len(group.seeds), len(group.repeats)) > MOST_THIN:
-            notes.append(
-                f"{shown}: more than {MOST_THIN} seeds, so that single seeds are not drawn."
-            )
+    hidden = [group for group in groups if not shows_seeds(group, groups)]
+    if hidden:
+        names = "all" if len(hidden) == len(groups) else ", ".join(map(group_title, hidden))
+        notes.append(f"Single seeds and repeats are not drawn, because there are many: {names}.")
     return "\n".join(notes)

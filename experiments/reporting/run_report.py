@@ -24,8 +24,8 @@ CURVES_NOTE = (
 )
 REPEATS_NOTE = (
     "A repeat is a run with the settings and the seed of another run that has at least as many "
-    "steps. The curves show repeats as thin lines with circles. Means, intervals and tables leave "
-    "them out, because a repeat is not another seed."
+    "steps. Where single seeds are drawn, repeats are thin lines with circles. Means, intervals "
+    "and tables leave them out, because a repeat is not another seed."
 )
 
 

@@ -99,7 +99,7 @@ def load_summaries(places: list[Path], bars: ProgressBars | None = None) -> Load
             add(place, read_summaries(place))
     runs, problems = find_in_places([place for place in places if place.suffix != ".json"])
     found.left_out.extend(problems)
-    shown: Iterable[Path] = runs if bars is None else bars.track("reading runs", runs)
+    shown: Iterable[Path] = bars.track("reading runs", runs) if bars and runs else runs
     for run in shown:
         config, seeds = configs.read(run / CONFIG), read_summary(run)
         if seeds and seeds[0]["steps"] >= config.total_steps:

@@ -170,7 +170,7 @@ def find_runs(
     reader = reader or RunReader()
     paths, left_out = find_in_places(places)
     runs = []
-    shown: Iterable[Path] = paths if bars is None else bars.track("reading runs", paths)
+    shown: Iterable[Path] = bars.track("reading runs", paths) if bars and paths else paths
     for path in shown:
         try:
             run = reader.read(path)

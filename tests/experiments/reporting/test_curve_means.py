@@ -41,7 +41,7 @@ def test_resample_curves_spans_the_longest_curve_and_holds_every_end():
 
 
 def test_resample_curves_few_steps_keeps_every_value():
-    curves = curves_of([100, 50])
+    curves = [(1000 * steps, values) for steps, values in curves_of([100, 50])]
     steps, values = resample_curves(curves)
     for (own, value), row in zip(curves, values, strict=True):
         np.testing.assert_array_equal(row[np.isin(steps, own)], value)

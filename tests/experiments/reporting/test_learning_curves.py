@@ -165,5 +165,19 @@ def test_curve_notes_many_seeds_says_that_single_seeds_are_not_drawn(tmp_path, f
     assert marks_of(figures[0], "X") == [200 + 100 * seed for seed in range(10)]
     assert curve_notes(groups).splitlines() == [
         "RND: its seeds end at 0.0002 to 0.0012 million steps.",
-        "RND: more than 10 seeds, so that single seeds are not drawn.",
+        "Single seeds and repeats are not drawn, because there are many: all.",
     ]
+
+
+def test_draw_curves_many_groups_have_no_thin_lines_and_the_note_says_so(tmp_path, figures):
+    one = run(tmp_path / "0", 200)
+    groups = groups_in(one)
+    many = [groups[0]._replace(name=f"rnd (eta={i})", seeds=groups[0].seeds * 2) for i in range(51)]
+    draw_curves(many, "return", "title", tmp_path, "curve")
+    draw_curves(many[:50], "return", "title", tmp_path, "fewer")
+    assert [len(lines_of(figure)[1]) for figure in figures] == [0, 100]
+    assert len(legend_of(figures[0])) == 51
+    assert curve_notes(many) == (
+        "Single seeds and repeats are not drawn, because there are many: all."
+    )
+    assert curve_notes(many[:50]) == ""

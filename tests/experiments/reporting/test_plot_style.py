@@ -33,6 +33,11 @@ def test_line_styles_first_series_has_the_style_of_its_algorithm():
     assert sorted(orange) == sorted({"-", "--", ":", "-."})
 
 
+def test_line_styles_many_variants_leave_the_style_of_an_algorithm_that_comes_later():
+    series = [("ab", f"ab ({i})") for i in range(9)] + [("grid", "grid (a)"), ("grid", "grid (b)")]
+    assert line_styles(series)["grid (a)"] == line_style("grid") | {"marker": ""}
+
+
 def test_line_styles_no_series_has_the_style_of_another_algorithm():
     plain = {(line_style(algo)["color"], line_style(algo)["linestyle"], "") for algo in STYLES}
     assert not plain & set(looks([("grid", f"grid ({i})") for i in range(100)]))

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from helpers.run_files import made
 
+from experiments import report
 from experiments.report import main
 from experiments.reporting import seed_statistics
 from experiments.reporting.learning_curves import QUANTITIES, draw_curves
 from experiments.reporting.thesis_tables import improvement_table, seeds_table, thesis_table
-from experiments.storage import read_configs
+from experiments.storage import read_configs, read_runs
 from experiments.storage.read_runs import find_runs, group_runs
 from experiments.system import display
 
@@ -205,6 +206,22 @@ def test_report_folder_of_links_equals_the_report_of_the_runs(runs, tmp_path):
     for table in ("seeds", "improvement", "table-5.6"):
         direct = (tmp_path / "direct" / f"{table}.csv").read_text()
         assert (tmp_path / "linked" / f"{table}.csv").read_text() == direct
+
+
+def test_report_live_page_reads_unchanged_runs_once(runs, tmp_path, monkeypatch, capsys):
+    read, names, waited = read_runs.read_run, [], []
+    keep = lambda path, *rest: names.append(path.name) or read(path, *rest)
+    monkeypatch.setattr(read_runs, "read_run", keep)
+
+    def wait(seconds):
+        waited.append(seconds)
+        if len(waited) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(report.time, "sleep", wait)
+    assert main([str(runs), f"out={tmp_path / 'out'}", "live=true"]) == 130
+    assert capsys.readouterr().out.count("page: ") == 2
+    assert sorted(names) == ["ppo", "rnd", "venture"]
 
 
 def test_report_shows_the_progress_of_each_part(runs, tmp_path, monkeypatch, capsys):
