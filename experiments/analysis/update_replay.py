@@ -10,7 +10,7 @@ import numpy as np
 
 from sndjax import Experience, TrainState
 
-from ..config.compose import parse_overrides
+from ..config.overrides import parse_overrides
 from ..config.saved import apply_overrides, parse_saved
 from ..config.schema import Config
 from ..storage.array_trees import CheckpointError, read_manifest, read_tree

@@ -12,52 +12,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
 from .library import algorithm_table
+from .overrides import parse_overrides
 from .saved import config_schema, innermost_reason, load_repeated, load_resumed, load_resumed_or_new
 from .schema import OBJECTIVES, Config
-from .validation import (
-    ALL_GROUPS,
-    CONF,
-    GENERIC_ENVS,
-    GROUPS,
-    config_options,
-    group_choices,
-    unknown_name_error,
-    validate_config,
-)
-
-
-def parse_overrides(arguments: list[str]) -> dict[str, Override]:
-    """Parse the arguments of the command line into overrides by key.
-
-    Raises:
-      ConfigError: an argument is not key=value, its key or group choice is unknown, it has several
-        values, or a key is given twice.
-    """
-    parser = OverridesParser.create()
-    known = {name for name, _ in config_options()} | set(ALL_GROUPS)
-    parsed: dict[str, Override] = {}
-    for argument in arguments:
-        try:
-            override = parser.parse_override(argument)
-        except HydraException:
-            hint = "quote special characters" if "=" in argument else "write key=value"
-            raise ConfigError(f"cannot read '{argument}': {hint}") from None
-        key = override.key_or_group
-        if override.is_delete() or override.package is not None:
-            raise ConfigError(f"cannot read '{argument}': write key=value")
-        if override.is_sweep_override():
-            raise ConfigError(f"'{argument}' names several values; give one")
-        if key not in known and not key.startswith("env.options."):
-            raise unknown_name_error("option", key, known)
-        if key in parsed:
-            raise ConfigError(f"'{key}' is given twice")
-        parsed[key] = override
-    for group in ALL_GROUPS:
-        if group in parsed and parsed[group].value() not in group_choices(group):
-            name = str(parsed[group].value())
-            hint = " (any envpool task: env=envpool env.id=NAME)" if group == "env" else ""
-            raise ConfigError(f"{unknown_name_error(group, name, group_choices(group))}{hint}")
-    return parsed
+from .validation import CONF, GENERIC_ENVS, GROUPS, group_choices, validate_config
 
 
 def load_config(arguments: list[str]) -> Config:
@@ -210,4 +168,4 @@ def override_line(override: Override) -> str:
     """Return the override in Hydra's syntax; keys below env.options may be new."""
     assert override.input_line is not None
     text = override.input_line.lstrip("+")
-    return f"++{text}" if override.key_or_group.startswith("env.options.") else text
+    return f"++{text}" if override.key_or_group.startswith("env.options") else text

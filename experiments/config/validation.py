@@ -4,11 +4,13 @@ import difflib
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 from ..system.errors import ConfigError
 from .library import algorithm_table, has_forward_model, has_predictor
+from .other_names import other_name_hint
 from .schema import Config
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -55,6 +57,9 @@ def unknown_name_error(what: str, name: str, known: Iterable[str]) -> ConfigErro
       known: all known names.
     """
     known = sorted(known)
+    elsewhere = other_name_hint(name, {*known}) if what == "option" else ""
+    if elsewhere:
+        return ConfigError(f"unknown {what} '{name}'; here it is {elsewhere}")
     lower = {k.lower(): k for k in known}
     near = difflib.get_close_matches(name.lower(), lower, n=3, cutoff=0.5)
     near += [k for k in lower if k.rsplit(".", 1)[-1] == name.lower() and k not in near]
@@ -64,6 +69,23 @@ def unknown_name_error(what: str, name: str, known: Iterable[str]) -> ConfigErro
         )
     shown = f"known: {', '.join(known) or 'none'}" if len(known) < 30 else "see --help"
     return ConfigError(f"unknown {what} '{name}'; {shown}")
+
+
+def whole_number(text: str) -> int:
+    """Return the whole number that a text writes; also 1e6, 1_000 and 2.0.
+
+    Raises:
+      ValueError: the text is no number, or the number is not whole.
+
+    >>> whole_number("1e6"), whole_number("1_000"), whole_number("2.0")
+    (1000000, 1000, 2)
+    """
+    try:
+        return int(text)
+    except ValueError:
+        if not float(text).is_integer():  # also nan and inf
+            raise
+        return int(Decimal(text))
 
 
 def get_option(config: Config, name: str) -> Any:
@@ -172,6 +194,8 @@ def check_range(name: str, value: Any, limits: Any) -> None:
     Raises:
       ConfigError: the value is not finite, or not allowed.
     """
+    if value is None:  # an option that may be left out
+        return
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}={value}: must be finite")
     if limits["choices"] is not None and value not in limits["choices"]:

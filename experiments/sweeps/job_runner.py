@@ -17,6 +17,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
 from omegaconf import DictConfig
 
+from ..config.command_text import option_text
+from ..config.overrides import normalize_overrides
 from ..system.subprocesses import start_command
 from .job_status import lock_job, summary_metric
 from .jobs import (
@@ -26,7 +28,6 @@ from .jobs import (
     job_name,
     make_job,
     parse_sweep,
-    quote_path,
     read_job,
     split_hydra_arguments,
     write_job,
@@ -86,7 +87,8 @@ class JobRunner:
         """Return the job to run: a listed job, or the next job of a search."""
         if name := config.get("job"):
             return read_job(job_file(directory, name, "json"))[0]
-        overrides, _ = split_hydra_arguments(HydraConfig.get().overrides.task)
+        given, _ = split_hydra_arguments(HydraConfig.get().overrides.task)
+        overrides = normalize_overrides(given)
         GlobalHydra.instance().clear()  # `make_job` composes with a new instance
         job = make_job(job_name(overrides, self.swept), overrides)
         path = job_file(directory, job.name, "json")
@@ -111,9 +113,9 @@ class JobRunner:
         run_dir = directory / job.name
         if summary_metric(run_dir, SEARCH_METRIC)[0] >= job.total:
             return
-        arguments = [*job.overrides, f"run_dir={quote_path(run_dir)}", "resume=auto"]
+        arguments = [*job.overrides, option_text("run_dir", run_dir), "resume=auto"]
         if "group" not in parse_sweep(job.overrides):
-            arguments.append(f"group={quote_path(directory)}")
+            arguments.append(option_text("group", directory))
         before = os.fstat(log).st_size
         with self.device() as device:
             with ignore_worker_signals(os.getpid() != self.starter):

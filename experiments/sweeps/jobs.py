@@ -16,11 +16,13 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
+from ..config.command_text import option_text
 from ..config.compose import load_config
+from ..config.overrides import normalize_overrides
 from ..config.saved import CHANGEABLE, CONFIG
 from ..config.validation import group_choices, unknown_name_error
 from ..system.display import ProgressBars
-from ..system.errors import ConfigError
+from ..system.errors import ConfigError, one_line
 from ..system.files import safe_file_name, write_atomically
 
 FILES = "cells"  # the folder has the name from earlier versions, for their sweeps
@@ -47,7 +49,7 @@ def expand_jobs(arguments: Sequence[str]) -> list[Job]:
     """
     keys = swept_keys(arguments)
     with ProgressBars() as bars:
-        everything = expand_product(arguments)
+        everything = [normalize_overrides(one) for one in expand_product(arguments)]
         listed = bars.track("checking jobs", everything) if len(everything) > FEW else everything
         jobs = [make_job(job_name(one, keys), one) for one in listed]
     names = Counter(job.name for job in jobs)
@@ -137,7 +139,7 @@ def validate_overrides(overrides: tuple[str, ...]) -> tuple[int, str | None]:
     try:
         config = load_config(list(overrides))
     except ConfigError as error:
-        return 0, " ".join(str(error).split())
+        return 0, one_line(error)
     return config.iterations * config.rows, None
 
 
@@ -174,15 +176,10 @@ def find_conflict(directory: Path, job: Job, before: Job | None) -> str | None:
     if same or not (place / CONFIG).is_file():
         return None
     try:
-        load_config([*job.overrides, f"run_dir={quote_path(place)}", "resume=auto"])
+        load_config([*job.overrides, option_text("run_dir", place), "resume=auto"])
     except ConfigError as error:
-        return " ".join(str(error).split())
+        return one_line(error)
     return None
-
-
-def quote_path(path: Path) -> str:
-    """Quote a path as the value of an override."""
-    return "'" + str(path).replace("'", "\\'") + "'"
 
 
 def job_file(directory: Path, name: str, kind: str) -> Path:

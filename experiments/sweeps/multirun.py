@@ -20,6 +20,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from ..config.command_text import SWEEP_DIR, option_text, sweep_command
 from ..config.compose import register_configs
 from ..config.saved import CHANGEABLE, innermost_reason
 from ..config.validation import CONF
@@ -49,7 +50,6 @@ from .jobs import (
     Job,
     expand_jobs,
     find_conflict,
-    quote_path,
     read_jobs,
     split_hydra_arguments,
     swept_keys,
@@ -138,7 +138,7 @@ def multirun(arguments: Sequence[str]) -> int:
     """
     sweep = parse_command(arguments)
     directory = sweep.directory
-    given = [*sweep.hydras, f"hydra.sweep.dir={quote_path(directory)}"]
+    given = [*sweep.hydras, option_text(SWEEP_DIR, directory)]
     (directory / STOP_FILE).unlink(missing_ok=True)
     before: list[JobStatus] | None = None  # not known for a search
     swept: tuple[str, ...] = ()
@@ -167,7 +167,7 @@ def multirun(arguments: Sequence[str]) -> int:
         print(search_report(directory, swept, SEARCH_METRIC))
     status = summarize(directory, before)
     if stop.status:
-        print(f"interrupted; to resume, give the same command: hydra.sweep.dir={directory}")
+        print("interrupted; to resume, give the same command:", sweep_command(arguments, directory))
         return stop.status
     if trouble:
         return print_error(f"the launcher gave up: {trouble}", 1)
