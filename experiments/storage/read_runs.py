@@ -77,6 +77,8 @@ def read_run(path: Path, configs: ConfigReader | None = None) -> RunData:
     seeds = []
     for seed in config.seeds:
         own = [entry for entry in entries if entry.get("seed") == seed]
+        if entries and not own:
+            notes.append(f"seed {seed} has no line in metrics.jsonl and is left out")
         mine = {name: column[episodes["seed"] == seed] for name, column in episodes.items()}
         names = {name for entry in own for name in entry} - {"seed"}
         figures = {n: np.array([as_float(e.get(n)) for e in own]) for n in sorted(names)}

@@ -35,6 +35,14 @@ def test_find_runs_half_written_line_is_left_out_and_named(tmp_path):
     ]
 
 
+def test_find_runs_seed_without_metrics_is_named(tmp_path):
+    made(tmp_path / "a", CAR, EPISODES, {1: [0.5, 0.25]})
+    runs, left_out = find_runs([tmp_path])
+    (group,) = group_runs(runs)
+    assert [seed.seed for seed in group.seeds] == [1]
+    assert left_out == [(tmp_path / "a", "seed 0 has no line in metrics.jsonl and is left out")]
+
+
 @pytest.mark.parametrize(
     ("name", "text", "why"),
     [
