@@ -22,7 +22,7 @@ class Options:
     agent: str | None = option(None, "the run whose agent collects; default: the best of them")
     seed: int = option(0, "of the environments and of t-SNE", low=0, high=2**31 - 1)
     out: str = option("analysis", "where the page goes")
-    trust: str | None = option(None, TRUST)
+    trust: tuple[str, ...] = option((), TRUST)
 
 
 def analyze(runs: list[Path], options: Options) -> None:

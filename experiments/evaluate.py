@@ -1,8 +1,8 @@
 """Measure how well trained agents play: sndjax evaluate RUN_DIR episodes=20
 
 Plays without training. Prints the return, score and length (in Montezuma's Revenge also the rooms)
-of every seed of the run, each as the mean over episodes with its 95% bootstrap interval. The last
-line is a JSON object.
+of every seed of the run, each as the mean over episodes with its 95% bootstrap interval, and how
+many episodes were complete. The last line is a JSON object.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,8 @@ class Options:
     episodes: int = option(16, "that each seed plays, side by side", low=1, high=1024)
     policy: str = option("sampled", "how actions are taken", choices=("sampled", "greedy"))
     seed: int = option(0, "of the environments", low=0, high=2**31 - 1)
-    trust: str | None = option(None, TRUST)
+    max_steps: int = option(27_000, "of an episode; one without end is cut, and said to be", low=1)
+    trust: tuple[str, ...] = option((), TRUST)
 
 
 def evaluate(paths: list[Path], options: Options) -> None:
@@ -29,7 +30,12 @@ def evaluate(paths: list[Path], options: Options) -> None:
     from .evaluation.metrics import evaluate_run, print_metrics
 
     lines = evaluate_run(
-        run, options.episodes, options.policy == "greedy", options.seed, options.trust
+        run,
+        options.episodes,
+        options.policy == "greedy",
+        options.seed,
+        options.trust,
+        options.max_steps,
     )
     print_metrics(lines, options.policy, options.episodes)
 

@@ -21,10 +21,11 @@ class Options:
     policy: str = option("sampled", "how actions are taken", choices=("sampled", "greedy"))
     seed: int = option(0, "of the environments", low=0, high=2**31 - 1)
     agent: int = option(-1, "the seed of the run whose agent plays; -1: its first", low=-1)
+    max_steps: int = option(4500, "of an episode; one without end is cut, and said to be", low=1)
     steps: int = option(0, "film only the first steps; 0: all", low=0)
     rate: int = option(30, "agent steps per second", low=1, high=240)
     out: str | None = option(None, "where the files go; default RUN_DIR/films")
-    trust: str | None = option(None, TRUST)
+    trust: tuple[str, ...] = option((), TRUST)
 
 
 def record(paths: list[Path], options: Options) -> None:
@@ -41,6 +42,7 @@ def record(paths: list[Path], options: Options) -> None:
         rate=options.rate,
         out=Path(options.out) if options.out else run / "films",
         trust=options.trust,
+        max_steps=options.max_steps,
     )
     for path in record_film(run, settings):
         print(path.resolve())

@@ -8,6 +8,7 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 
+from .config.command_text import resume_command
 from .config.compose import load_config
 from .config.help import run_help
 from .config.saved import CONFIG
@@ -16,13 +17,15 @@ from .config.tool_options import asks_for_help
 from .storage.run_directory import FollowerDirectory, RunDirectory
 from .system.errors import ConfigError, print_error
 from .system.interrupts import Interrupted, Interrupts
+from .system.jax_settings import jax_problem
 from .system.process import configure_xla, run_script
 
 
-def resume_hint(directory: RunDirectory | FollowerDirectory | None) -> str:
+def resume_hint(directory: RunDirectory | FollowerDirectory | None, config: Config | None) -> str:
     """Return a hint how to resume the run in a directory, or "" if there is no run."""
-    path = directory.shared if directory else None
-    return f"; to resume: resume={path}" if path and (path / CONFIG).exists() else ""
+    if directory is None or config is None or not (directory.shared / CONFIG).exists():
+        return ""
+    return f"; to resume: {resume_command(directory.shared, config)}"
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -81,6 +84,7 @@ def open_run_directory(config: Config) -> RunDirectory | FollowerDirectory:
 def train(arguments: list[str], interrupts: Interrupts) -> int:
     """Train the run of a command line, and return its exit status."""
     directory: RunDirectory | FollowerDirectory | None = None
+    config: Config | None = None
     try:
         config = load_config(arguments)
         directory = open_run_directory(config)
@@ -95,9 +99,16 @@ def train(arguments: list[str], interrupts: Interrupts) -> int:
     except FloatingPointError as error:  # the message says how to find the cause
         return print_error(error, 1)
     except OSError as error:
-        return print_error(f"cannot write the run: {error}{resume_hint(directory)}", 1)
+        return print_error(f"cannot write the run: {error}{resume_hint(directory, config)}", 1)
     except Interrupted as stopped:
-        return print_error(f"interrupted{resume_hint(directory)}", stopped.status)
+        return print_error(f"interrupted{resume_hint(directory, config)}", stopped.status)
+    except (AssertionError, RuntimeError, ValueError) as error:
+        problem = jax_problem(error)
+        if problem is None:
+            raise
+        if directory is not None:
+            directory.discard()
+        return print_error(problem)
     finally:
         if directory is not None:
             directory.close()

@@ -211,7 +211,7 @@ def write_feature_report(
     agent: Path | None,
     seed: int,
     out: Path,
-    trust: str | None,
+    trust: tuple[str, ...],
 ) -> Path:
     """Collect states, encode them, draw the pictures, and return the path of the page.
 

@@ -12,7 +12,7 @@ from sndjax.acting import scale_vectors
 from sndjax.networks import torso_features
 from sndjax.rollout import stack_to_channels
 
-from ..evaluation.players import Player, play_episodes
+from ..evaluation.players import Player, cut_message, play_episodes
 from ..system.errors import ConfigError
 from ..training.agents import make_encode
 from .montezuma_path import load_committed_trajectory
@@ -43,6 +43,9 @@ def collect_states(
 ) -> States:
     """Collect the states of whole episodes, with sampled actions, until there are enough.
 
+    An episode is played no further than `count` steps, or until the memory is full; the second is
+    printed, because then the states are not of whole episodes.
+
     Args:
       player: the agent.
       count: the number of states to collect.
@@ -52,7 +55,10 @@ def collect_states(
     parts: list[States] = []
     total = 0
     while total < count:
-        for episode in play_episodes(player, TOGETHER, seed=seed + len(parts)):
+        played = play_episodes(player, TOGETHER, seed=seed + len(parts), max_steps=count)
+        if not parts and any(len(e.action) < count and not e.complete for e in played):
+            print(cut_message(played, count))
+        for episode in played:
             length = len(episode.action)  # the last state has no successor and is dropped
             room = np.concatenate([episode.room[:1], episode.room[:-1]]).astype(int)
             states = States(episode.frames[:length], episode.action, np.arange(length), room)

@@ -66,8 +66,10 @@ def print_random_agent(config: Config, keep: float) -> None:
     """
     returns, lengths, first = play_random(config, keep)
     if not len(returns):
+        seen = f"the first reward by step {first:,}" if first else "no reward"
         raise ConfigError(
-            f"no episode ended in {config.total_steps:,} steps; take more total_steps"
+            f"no episode ended in {config.total_steps:,} steps ({seen}), and episodes are what is "
+            "counted; take more total_steps, or a task whose episodes end"
         )
     print(
         f"{config.env.name}, {config.total_steps:,} steps, keep={keep:g}: "

@@ -35,7 +35,7 @@ def option_lines(named: Iterable[tuple[str, Field[Any]]], width: int) -> list[st
     lines = []
     for name, entry in named:
         default = default_of(entry)
-        shown = "" if default in (None, "???") or default == {} else str(default)
+        shown = "" if default in (None, "???", ()) or default == {} else str(default)
         about = f"{entry.metadata['about']}{allowed(entry.metadata)}"
         lines.append(f"  {f'{name}={shown}':<{width}} {about}")
     return lines

@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
 from ..system.files import is_file
+from .command_text import code_options, shell_text
 from .schema import Config
 from .validation import GENERIC_ENVS, GROUPS, config_options, get_option, validate_config
 
@@ -139,15 +140,14 @@ def check_code(stored: Config, overrides: dict[str, Override], what: str) -> Non
     Raises:
       ConfigError: the stored configuration names code that the command line does not name.
     """
-    if stored.algo.module is not None and "algo.module" not in overrides:
+    named = code_options(stored)
+    missing = [one for one in named if one.partition("=")[0] not in overrides]
+    if missing:
+        kinds = {"algo.module": "uses a custom module", "env.id": "has a task in a Python module"}
+        reason = " and ".join(kinds[one.partition("=")[0]] for one in missing)
         raise ConfigError(
-            f"{what}: this run uses a custom module; for safety repeat "
-            f"algo.module={stored.algo.module} on the command line, if you trust it"
-        )
-    if stored.env.suite == "gymnasium" and ":" in stored.env.id and "env.id" not in overrides:
-        raise ConfigError(
-            f"{what}: this run's task is in a Python module; for safety repeat "
-            f"env.id={stored.env.id} on the command line, if you trust it"
+            f"{what}: this run {reason}; for safety repeat "
+            f"{' '.join(map(shell_text, missing))} on the command line, if you trust it"
         )
 
 

@@ -5,17 +5,22 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+
 from ..system.errors import ConfigError, print_error
-from ..system.files import is_file
+from ..system.files import exists, is_file
+from ..system.jax_settings import jax_problem
 from ..system.process import configure_xla
 from .compose import load_config
 from .help import default_of, tool_help
 from .saved import CONFIG
 from .schema import Config
-from .validation import check_range, unknown_name_error
+from .validation import check_range, unknown_name_error, whole_number
 
 Options = TypeVar("Options")
-TRUST = "the code that the run's configuration names (its algo.module or env.id), if any"
+TRUSTED = ("algo.module", "env.id")  # the options of a run that name code
+TRUST = "code that the run's configuration may name; or repeat its algo.module=... and env.id=..."
 
 
 def convert_value(name: str, text: str, default: Any) -> Any:
@@ -34,8 +39,7 @@ def convert_value(name: str, text: str, default: Any) -> Any:
             return {"true": True, "false": False}[text.lower()]
         if default is None:
             return text
-        number = type(default) in (int, float)
-        return type(default)(text.replace("_", "") if number else text)
+        return (whole_number if type(default) is int else type(default))(text)
     except (ValueError, KeyError):
         kind = {bool: "true or false", int: "a whole number", float: "a number"}[type(default)]
         raise ConfigError(f"{name}={text}: must be {kind}") from None
@@ -59,6 +63,8 @@ def parse_arguments(arguments: Sequence[str], kind: type[Options]) -> tuple[list
     ...     live: bool = option(False, "go on")
     >>> parse_arguments(["runs/", "--out", "there", "--live"], Own)
     ([PosixPath('runs')], Own(out='there', live=True))
+
+    A field `trust` collects the values of `trust=`, `algo.module=` and `env.id=`.
     """
     known = {entry.name: entry for entry in fields(kind)}  # type: ignore[arg-type]
     paths: list[Path] = []
@@ -72,11 +78,15 @@ def parse_arguments(arguments: Sequence[str], kind: type[Options]) -> tuple[list
             paths.append(Path(argument))
             continue
         name = name.replace("-", "_")
-        if name not in known:
+        trusts = "trust" in known and name in ("trust", *TRUSTED)
+        if name not in known and not trusts:
+            if not dashed and exists(Path(argument)):
+                paths.append(Path(argument))  # a path that holds an equals sign
+                continue
             raise unknown_name_error("option", name, known)
-        if name in given:
+        if name in given and not trusts:
             raise ConfigError(f"'{name}' is given twice")
-        default = default_of(known[name])
+        default = default_of(known["trust" if trusts else name])
         if not equals:
             if isinstance(default, bool):
                 text = "true"
@@ -84,9 +94,22 @@ def parse_arguments(arguments: Sequence[str], kind: type[Options]) -> tuple[list
                 text = left.pop(0)
             else:
                 raise ConfigError(f"--{name} needs a value")
+        if trusts:  # several runs may name several pieces of code
+            given["trust"] = (*given.get("trust", ()), unquote_value(text))
+            continue
         given[name] = convert_value(name, text, default)
         check_range(name, given[name], known[name].metadata)
     return paths, kind(**given)
+
+
+def unquote_value(text: str) -> str:
+    """Return the value of an option of a run, without the quotes that `option_text` may add."""
+    if text[:1] not in ("'", '"'):
+        return text
+    try:
+        return str(OverridesParser.create().parse_override(f"x={text}").value())
+    except HydraException:
+        return text
 
 
 def asks_for_help(arguments: Sequence[str]) -> bool:
@@ -103,6 +126,11 @@ def exit_status(body: Callable[[], None]) -> int:
         return print_error(error)
     except KeyboardInterrupt:
         return print_error("interrupted", 130)
+    except (AssertionError, RuntimeError, ValueError) as error:
+        problem = jax_problem(error)
+        if problem is None:
+            raise
+        return print_error(problem)
     return 0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..reporting.seed_statistics import bootstrap_interval
 from ..system.display import ProgressBars
-from .players import PlayedEpisode, load_players, play_episodes
+from .players import MAX_STEPS, PlayedEpisode, cut_message, load_players, play_episodes
 
 
 def episode_metrics(played: list[PlayedEpisode]) -> dict[str, np.ndarray]:
@@ -24,7 +24,12 @@ def episode_metrics(played: list[PlayedEpisode]) -> dict[str, np.ndarray]:
 
 
 def evaluate_run(
-    run: Path, episodes: int, greedy: bool, seed: int, trust: str | None = None
+    run: Path,
+    episodes: int,
+    greedy: bool,
+    seed: int,
+    trust: tuple[str, ...] = (),
+    max_steps: int = MAX_STEPS,
 ) -> list[dict[str, Any]]:
     """Play episodes with the agent of every seed of a run, and return the metrics of each seed.
 
@@ -34,10 +39,12 @@ def evaluate_run(
       greedy: take the most probable action instead of sampling one.
       seed: the seed of the environments.
       trust: the code that the run's configuration may name, see `load_players`.
+      max_steps: the longest episode; longer ones are cut.
 
     Returns:
-      For each seed: `seed`, `iteration`, and for each metric its mean, its maximum and the 95%
-      bootstrap interval of its mean (missing for a single episode).
+      For each seed: `seed`, `iteration`, `complete` (the number of episodes that ended), and for
+      each metric its mean, its maximum and the 95% bootstrap interval of its mean (missing for a
+      single episode). If episodes were cut: `note`, which says so.
 
     Raises:
       ConfigError: no agent can be loaded, or its environment cannot be made.
@@ -50,8 +57,11 @@ def evaluate_run(
             def report(steps: int, ended: int, name: str = name) -> None:
                 bars.update(name, ended, episodes, f"episodes, step {steps:,}")
 
-            played = play_episodes(player, episodes, greedy, seed, False, report)
+            played = play_episodes(player, episodes, greedy, seed, False, report, max_steps)
             line: dict[str, Any] = {"seed": player.seed, "iteration": player.iteration}
+            line["complete"] = sum(episode.complete for episode in played)
+            if note := cut_message(played, max_steps):
+                line["note"] = f"{note}; they count as far as they went"
             for name, values in episode_metrics(played).items():
                 line[name] = {"mean": float(values.mean()), "max": float(values.max())}
                 band = bootstrap_interval(values)
@@ -70,7 +80,10 @@ def print_metrics(lines: list[dict[str, Any]], policy: str, episodes: int) -> No
       episodes: the number of episodes of each seed.
     """
     for line in lines:
-        print(f"seed {line['seed']}, iteration {line['iteration']}, {policy}")
+        complete = f"{line['complete']} of {episodes} episodes complete"
+        print(f"seed {line['seed']}, iteration {line['iteration']}, {policy}, {complete}")
+        if "note" in line:
+            print(f"  {line['note']}")
         for name in ("return", "score", "length", "rooms"):
             if name in line:
                 found = line[name]

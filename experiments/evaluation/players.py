@@ -25,6 +25,9 @@ from ..training.experiment import build_experiment
 from ..training.snapshots import to_rgb
 
 CHUNK = 256
+MAX_STEPS = 27_000  # the longest episode: as many steps as ALE gives a game, of four frames each
+KEPT_BYTES = 2 << 30  # the memory for what is played; longer episodes are cut
+ROW_BYTES = 64  # of one step without its frame
 
 
 class Player(NamedTuple):
@@ -48,6 +51,7 @@ class PlayedEpisode(NamedTuple):
     score: np.ndarray  # float32[L]
     room: np.ndarray  # uint8[L], in Montezuma's Revenge; zeros in other games
     stream: int  # the seed of its environment
+    complete: bool  # False: it was cut before its end
 
 
 def find_state(run: Path, like: Any) -> tuple[int, TrainState]:
@@ -75,13 +79,13 @@ def find_state(run: Path, like: Any) -> tuple[int, TrainState]:
         raise ConfigError(f"{run}: no checkpoint can be used: {error}") from None
 
 
-def load_players(run: Path, trust: str | None = None) -> list[Player]:
+def load_players(run: Path, trust: tuple[str, ...] = ()) -> list[Player]:
     """Load the agents of a run, one for each seed.
 
     Args:
       run: the run directory.
-      trust: the code that the run's stored configuration may name, if it names any: the same value
-        as its `algo.module` or `env.id`.
+      trust: the code that the run's stored configuration may name, if it names any: the values of
+        its `algo.module` and `env.id`.
 
     Raises:
       ConfigError: there is no run, its configuration names code that is not in `trust`, or none of
@@ -91,7 +95,7 @@ def load_players(run: Path, trust: str | None = None) -> list[Player]:
         raise ConfigError(f"{run}: there is no run (no {CONFIG})")
     config = validate_config(read_saved(run / CONFIG).config)
     named: dict[str, Any] = {"algo.module": config.algo.module, "env.id": config.env.id}
-    check_code(config, {k: v for k, v in named.items() if v == trust is not None}, str(run))
+    check_code(config, {k: v for k, v in named.items() if v in trust}, str(run))
     experiment = build_experiment(config, probe=True)
     iteration, states = find_state(run, experiment.state_shapes())
     own = lambda i: jax.tree.map(lambda x: jnp.asarray(x[i]), states)
@@ -133,6 +137,31 @@ def make_choose(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
     return choose
 
 
+def step_limit(max_steps: int, episodes: int, frame_bytes: int) -> int:
+    """Return the number of steps after which an episode is cut.
+
+    Args:
+      max_steps: the limit that was asked for.
+      episodes: the number of episodes that are played in parallel.
+      frame_bytes: the size of a frame; 0 if frames are not kept.
+
+    >>> step_limit(27_000, 16, 0), step_limit(27_000, 1024, 96 * 96)
+    (27000, 225)
+    """
+    return max(1, min(max_steps, KEPT_BYTES // (episodes * (frame_bytes + ROW_BYTES))))
+
+
+def cut_message(played: list[PlayedEpisode], max_steps: int) -> str:
+    """Return the line that says how many episodes were cut and why, or "" if all are complete."""
+    cut = [len(episode.action) for episode in played if not episode.complete]
+    if not cut:
+        return ""
+    full = "they fill the memory: play fewer episodes"
+    why = f"max_steps={max_steps}" if cut[0] >= max_steps else full
+    steps = f"{cut[0]:,} steps"
+    return f"{len(cut)} of {len(played)} episodes had no end after {steps} and were cut ({why})"
+
+
 def play_episodes(
     player: Player,
     episodes: int,
@@ -140,8 +169,11 @@ def play_episodes(
     seed: int = 0,
     keep: bool = True,
     report: Callable[[int, int], None] = lambda steps, ended: None,
+    max_steps: int = MAX_STEPS,
 ) -> list[PlayedEpisode]:
     """Play whole episodes, one in each environment, so that short ones are not counted more often.
+
+    An episode that has not ended after `max_steps` steps, or where the memory is full, is cut.
 
     Args:
       player: the agent that plays.
@@ -150,6 +182,7 @@ def play_episodes(
       seed: the seed of the environments and of the sampled actions.
       keep: whether to keep all frames; if False, only the first is kept.
       report: called with the number of steps taken and the number of episodes that have ended.
+      max_steps: the longest episode.
 
     Raises:
       ConfigError: the environment cannot be made.
@@ -159,29 +192,31 @@ def play_episodes(
     choose = make_choose(player, greedy, seed)
     frame, first = pool.reset()[0], np.ones(episodes, bool)
     window: Any = np.zeros((stack, episodes, *pool.shape), pool.dtype)
-    alive = np.ones(episodes, bool)
+    limit = step_limit(max_steps, episodes, frame[0].nbytes if keep else 0)
+    alive, length = np.ones(episodes, bool), np.zeros(episodes, int)
     frames: list[list[np.ndarray]] = [[one] for one in frame.copy()]
-    rows: list[list[tuple[Any, ...]]] = [[] for _ in range(episodes)]
-    t = 0
-    while alive.any():
-        decided = choose(window, frame, first, np.int32(t))
+    rows: list[tuple[np.ndarray, ...]] = []
+    while alive.any() and len(rows) < limit:
+        decided = choose(window, frame, first, np.int32(len(rows)))
         window, (action, executed, value) = decided[-1], map(np.asarray, decided[:-1])
         step = pool.step(executed[None])
         room = np.zeros(alive.shape, np.uint8) if step.room is None else step.room[0]
         columns = (action, executed, value, step.reward[0], step.score[0], room)
-        for n in np.nonzero(alive)[0].tolist():
-            rows[n].append(tuple(column[n] for column in columns))
-            if keep:
-                frames[n].append(step.frame[0, n].copy())
+        rows.append(tuple(np.array(column) for column in columns))
+        length += alive
+        for n in np.nonzero(alive)[0].tolist() if keep else ():
+            frames[n].append(step.frame[0, n].copy())
         alive &= ~step.done[0]
         frame, first = step.frame[0], ~step.valid[0]
-        t += 1
-        report(t, episodes - int(alive.sum()))
+        report(len(rows), episodes - int(alive.sum()))
     pool.close()
+    table = [np.stack(column) for column in zip(*rows, strict=True)]
     found = []
     for n, stream in enumerate(env_seeds(seed, episodes, 0)):
-        taken: Any = [np.array(column) for column in zip(*rows[n], strict=True)]
-        found.append(PlayedEpisode._make([np.stack(frames[n]), *taken, stream]))
+        taken: Any = [column[: length[n], n] for column in table]
+        own = np.stack(frames[n])
+        frames[n] = []  # the memory is needed for the others
+        found.append(PlayedEpisode._make([own, *taken, stream, not alive[n]]))
     return found
 
 

@@ -14,6 +14,7 @@ from ..system.errors import ConfigError
 from .players import (
     PlayedEpisode,
     Player,
+    cut_message,
     episode_novelty,
     load_players,
     play_episodes,
@@ -36,6 +37,7 @@ class FilmSettings(NamedTuple):
       rate: agent steps per second.
       out: the directory of the files.
       trust: the code that the run's configuration may name, see `load_players`.
+      max_steps: the longest episode; longer ones are cut.
     """
 
     episodes: int
@@ -45,7 +47,8 @@ class FilmSettings(NamedTuple):
     steps: int
     rate: int
     out: Path
-    trust: str | None
+    trust: tuple[str, ...]
+    max_steps: int
 
 
 def best_episode(episodes: list[PlayedEpisode]) -> int:
@@ -232,6 +235,7 @@ def record_film(run: Path, settings: FilmSettings) -> list[Path]:
             settings.seed,
             True,
             lambda t, n: bars.update("playing", n, settings.episodes, f"episodes, step {t:,}"),
+            settings.max_steps,
         )
         episode = played[best_episode(played)]
         signal = episode_novelty(player, episode)
@@ -254,8 +258,11 @@ def record_film(run: Path, settings: FilmSettings) -> list[Path]:
         frames = film_frames(keep_novel(), side, columns)
         write_film(film, frames, settings.rate, partial(bars.update, "filming", total=length))
         sheet = draw_contact_sheet(shown, signal, settings.out / f"{name}-most-novel")
+    if note := cut_message(played, settings.max_steps):
+        print(note)
     print(
-        f"the best of {len(played)}: return {episode.reward.sum():g}, score "
-        f"{episode.score.sum():g}, {len(episode.action):,} steps"
+        f"the best of {len(played)}, {sum(one.complete for one in played)} complete: return "
+        f"{episode.reward.sum():g}, score {episode.score.sum():g}, {len(episode.action):,} steps"
+        f"{'' if episode.complete else ', cut'}"
     )
     return [film, sheet]

@@ -19,6 +19,7 @@ from ..system.files import fsync_path, temporary_name
 
 MANIFEST = "manifest.json"
 ARRAYS = "arrays.npz"
+KEY_WORDS = {2: "threefry2x32", 4: "rbg"}  # jax's generators by the words of a key
 
 
 class CheckpointError(Exception):
@@ -123,9 +124,7 @@ def read_tree(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
     leaves = []
     for name, wanted in named_leaves(like):
         if describe_array(found.get(name)) != describe_array(wanted):
-            raise CheckpointError(
-                f"{name} is {describe_array(found.get(name))}, not {describe_array(wanted)}"
-            )
+            raise CheckpointError(mismatch_message(name, found.get(name), wanted))
         leaves.append(found[name])
     return jax.tree.unflatten(jax.tree.structure(like), leaves), manifest
 
@@ -134,6 +133,36 @@ def named_leaves(tree: Any) -> list[tuple[str, Any]]:
     """Return every array of a tree with its path, such as params/ppo/torso/kernel."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), x) for path, x in leaves]
+
+
+def mismatch_message(name: str, found: Any, wanted: Any) -> str:
+    """Return why an array does not fit; a random key of another generator is named as such.
+
+    Args:
+      name: the path of the array in the tree.
+      found: the stored array, or None.
+      wanted: what is expected.
+    """
+    text = f"{name} is {describe_array(found)}, not {describe_array(wanted)}"
+    if name.rpartition("/")[2] != "key" or found is None or not found.shape:
+        return text
+    made_with = KEY_WORDS.get(found.shape[-1])
+    if made_with is None or found.shape[:-1] != wanted.shape[:-1]:
+        return text
+    return f"{other_generator(made_with)} ({text})"
+
+
+def current_generator() -> str:
+    """Return the name of the random generator that jax uses in this process."""
+    return str(jax.random.key_impl(jax.random.key(0)))
+
+
+def other_generator(made_with: str) -> str:
+    """Return the message that random keys are of another generator than jax uses here."""
+    return (
+        f"its random keys are of jax's generator {made_with}, but JAX_DEFAULT_PRNG_IMPL is "
+        f"{current_generator()} here: set JAX_DEFAULT_PRNG_IMPL={made_with}"
+    )
 
 
 def describe_array(array: Any) -> str:

@@ -17,6 +17,8 @@ from sndjax import TrainState
 
 from .array_trees import (
     CheckpointError,
+    current_generator,
+    other_generator,
     read_manifest,
     read_tree,
     remove_directory,
@@ -24,6 +26,7 @@ from .array_trees import (
     write_tree,
 )
 
+GENERATOR = "random_generator"  # the entry of the manifest with the name of jax's generator
 KEEP = 2  # number of newest checkpoints to keep; the best one is kept too
 
 
@@ -61,6 +64,7 @@ class Checkpoints:
             self.newest = iteration
             return
         tree = jax.tree.map(np.array, unwrap_key(state))  # a copy: the buffers are reused
+        more = more | {GENERATOR: str(jax.random.key_impl(state.key))}
         self.writer = threading.Thread(
             target=self.write_in_background, args=(iteration, tree, more)
         )
@@ -157,10 +161,13 @@ class Checkpoints:
           like: the shapes and dtypes of the state.
 
         Raises:
-          CheckpointError: the checkpoint is not complete, has other shapes or dtypes, or holds
-            another iteration.
+          CheckpointError: the checkpoint is not complete, has other shapes or dtypes, holds another
+            iteration, or its random keys are of another generator.
         """
-        tree, _ = read_tree(self.path / str(step), unwrapped_shapes(like))
+        tree, manifest = read_tree(self.path / str(step), unwrapped_shapes(like))
+        here = current_generator()
+        if manifest.get(GENERATOR, here) != here:  # two generators have keys of the same shape
+            raise CheckpointError(other_generator(str(manifest[GENERATOR])))
         if np.any(np.asarray(tree.iteration) != step):
             raise CheckpointError(f"checkpoint {step} holds the state of another iteration")
         return tree._replace(key=jax.random.wrap_key_data(tree.key))

@@ -8,6 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from ..config.command_text import resume_command
 from ..config.saved import CONFIG, SavedConfig, read_saved, to_yaml
 from ..config.schema import Config
 from ..system.errors import ConfigError
@@ -61,7 +62,11 @@ class RunDirectory:
 
     def not_empty_message(self) -> str:
         """Return the error message for a directory that is not empty."""
-        return f"run directory {self.path} is not empty (to resume: resume={self.path})"
+        try:
+            command = resume_command(self.path, read_saved(self.path / CONFIG).config)
+        except ConfigError:  # there is no run that could be resumed
+            return f"run directory {self.path} is not empty; give another run_dir"
+        return f"run directory {self.path} is not empty; to resume the run in it: {command}"
 
     def remove_created_dirs(self) -> None:
         """Remove the directories that were created for this run, up to the first non-empty one."""

@@ -52,3 +52,11 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def exists(path: Path) -> bool:
+    """Return True if there is something at `path`; invalid paths count as missing."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False

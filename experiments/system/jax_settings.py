@@ -1,0 +1,63 @@
+"""The environment variables of jax, and what is wrong with them if jax cannot start."""
+
+import os
+from collections.abc import Mapping
+
+PLATFORMS = "JAX_PLATFORMS"
+
+
+def jax_problem(error: BaseException) -> str | None:
+    """Return which environment variable keeps jax from starting, and the remedy; None if none does.
+
+    Call this where an unexpected error ends a command.
+
+    Args:
+      error: the error that ended the command.
+    """
+    if isinstance(error, ValueError):  # raised while jax is imported
+        return variable_problem(error, os.environ)
+    if not isinstance(error, AssertionError | RuntimeError) or not os.environ.get(PLATFORMS):
+        return None
+    try:
+        import jax
+
+        jax.devices()
+    except (AssertionError, RuntimeError) as found:
+        return platform_problem(os.environ[PLATFORMS], found)
+    return None
+
+
+def variable_problem(error: ValueError, variables: Mapping[str, str]) -> str | None:
+    """Return the message about a variable of jax that an error names, or None.
+
+    Args:
+      error: the error.
+      variables: the environment variables of this process.
+
+    >>> wrong = ValueError("invalid truth value 'maybe' for environment 'JAX_ENABLE_X64'")
+    >>> variable_problem(wrong, {"JAX_ENABLE_X64": "maybe"})
+    "JAX_ENABLE_X64=maybe: jax does not know this value (invalid truth value 'maybe'); unset it"
+    """
+    text = str(error)
+    for name, value in variables.items():
+        if name.startswith("JAX_") and name.lower() in text.lower():
+            reason = text.partition(" for ")[0]
+            return f"{name}={value}: jax does not know this value ({reason}); unset it"
+    return None
+
+
+def platform_problem(platforms: str, error: BaseException) -> str:
+    """Return the message about platforms that jax cannot use.
+
+    Args:
+      platforms: the value of JAX_PLATFORMS.
+      error: the error of jax, whose text may be empty.
+    """
+    reason = next(iter(str(error).splitlines()), "").partition(" (set JAX")[0].rstrip(".")
+    because = f": {reason}" if reason else ", which has no device or no plugin"
+    gpu = {"cuda", "gpu"} & {name.strip().lower() for name in platforms.split(",")}
+    install = "; for an NVIDIA GPU: pip install 'jax[cuda12]'" if gpu else ""
+    return (
+        f"{PLATFORMS}={platforms}: jax cannot use this platform on this machine{because}; "
+        f"unset {PLATFORMS}, or set {PLATFORMS}=cpu{install}"
+    )
