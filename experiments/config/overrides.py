@@ -99,8 +99,9 @@ def text_hint(argument: str) -> str:
 def typed_override(override: Override) -> Override:
     """Return an override whose value is of its option's kind.
 
-    A whole number may be written as 1e6 or 2.0. An option that takes text takes it as it is
-    written, also if it looks like a number.
+    A whole number may be written as 1e6 or 2.0 (for the library that makes the task only as 1e6,
+    because it may want 2.0). An option that takes text takes it as it is written, also if it looks
+    like a number.
 
     Raises:
       ConfigError: the value is a list, a mapping or a number that is not whole, and may not be.
@@ -110,7 +111,8 @@ def typed_override(override: Override) -> Override:
     assert override.input_line is not None
     written = override.input_line.partition("=")[2]
     if kind is None:  # an argument of the library that makes the task
-        return override
+        whole = isinstance(value, float) and value.is_integer() and "e" in written.lower()
+        return parse_argument(f"{key}={whole_number(str(value))}") if whole else override
     if kind is dict:
         if not isinstance(value, dict):
             raise ConfigError(f"{key}={written}: {INSTEAD[key]}")

@@ -3,6 +3,7 @@
 They may come from an untrusted source: nothing in them is evaluated, and they may not name code.
 """
 
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +17,14 @@ from ..system.errors import ConfigError
 from ..system.files import is_file
 from .command_text import code_options, shell_text
 from .schema import Config
-from .validation import GENERIC_ENVS, GROUPS, config_options, get_option, validate_config
+from .validation import (
+    GENERIC_ENVS,
+    GROUPS,
+    config_options,
+    get_option,
+    validate_config,
+    whole_number,
+)
 
 CONFIG = "config.yaml"
 MADE_WITH = "made_with"
@@ -89,11 +97,29 @@ def parse_saved(text: str, where: str) -> SavedConfig:
             raise ConfigError(f"{MADE_WITH} is not a list of versions")
         if "${" in str(found):
             raise ConfigError("it holds a reference ('${'); stored values must be literal")
-        config = OmegaConf.to_object(OmegaConf.merge(config_schema(), found))
+        config = OmegaConf.to_object(OmegaConf.merge(config_schema(), whole_numbers(found)))
     except Exception as error:  # an untrusted file may cause any exception
         raise ConfigError(f"{where} cannot be read: {innermost_reason(error)}") from None
     assert isinstance(config, Config)
     return SavedConfig(config, {str(name): str(version) for name, version in made_with.items()})
+
+
+def whole_numbers(found: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return stored options with each whole number written as one: YAML reads 1e6 as a text.
+
+    Args:
+      found: the options, by name.
+      prefix: the name of the group that they are in, with a dot.
+    """
+    kinds = {name: entry.type for name, entry in config_options()}
+    made = dict(found)
+    for name, value in found.items():
+        if isinstance(value, dict) and not prefix:
+            made[name] = whole_numbers(value, f"{name}.")
+        elif kinds.get(f"{prefix}{name}") is int and isinstance(value, float | str):
+            with suppress(ValueError):  # else it is refused with the name of the option
+                made[name] = whole_number(value if isinstance(value, str) else str(value))
+    return made
 
 
 def read_saved(path: Path) -> SavedConfig:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from experiments.config.compose import load_config
 from experiments.config.overrides import normalize_overrides, option_kinds, parse_overrides
+from experiments.config.saved import SavedConfig, to_yaml
 from experiments.config.validation import ALL_GROUPS
 from experiments.run import main
 from experiments.sweeps.jobs import expand_jobs
@@ -106,6 +107,28 @@ def test_load_config_whole_numbers_written_as_floats_fill_every_option():
     assert made == load_config(
         [*CAR, *plain, "ppo.minibatch_size=1280", "algo.minibatch_size=1280"]
     )
+
+
+def test_load_config_argument_of_the_task_written_with_an_exponent_is_whole():
+    given = [f"env.options.{one}" for one in ("max_episode_steps=1e4", "speed=2.0", "noise=1e-3")]
+    made = load_config([*CAR, *given]).env.options
+    assert (type(made["max_episode_steps"]), made["max_episode_steps"]) == (int, 10_000)
+    assert (type(made["speed"]), made["noise"]) == (float, 0.001)
+
+
+def test_load_config_repeated_file_written_by_hand_may_have_whole_numbers_as_floats(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text(to_yaml(SavedConfig(load_config([*CAR, "total_steps=1_000_000"]), {})))
+    text = path.read_text()
+    for written in ("1e6", "1.0e+6", "1_000_000", "1000000.0"):
+        path.write_text(
+            text.replace("total_steps: 1000000\ncheck", f"total_steps: {written}\ncheck")
+        )
+        assert written in path.read_text()
+        assert load_config([f"repeat={path}"]).total_steps == 10**6
+    path.write_text(text.replace("epochs: 4", "epochs: 2.5"))
+    with pytest.raises(ConfigError, match=r"ppo\.epochs"):
+        load_config([f"repeat={path}"])
 
 
 def test_expand_jobs_whole_numbers_written_as_floats_name_the_same_jobs():

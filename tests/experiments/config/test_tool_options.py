@@ -25,6 +25,8 @@ class Own:
         (["--out", "x", "a", "--live"], [Path("a")], Own(out="x", live=True)),
         (["states=1_000", "--rate=0.25", "live=true"], [], Own(states=1000, rate=0.25, live=True)),
         (["agent=runs/x"], [], Own(agent="runs/x")),
+        (["states=1e3", "rate=1e-1"], [], Own(states=1000, rate=0.1)),
+        (["--states", "20.0"], [], Own(states=20)),
     ],
 )
 def test_parse_arguments_key_value_and_dashes_give_the_same(given, places, wanted):
@@ -37,6 +39,8 @@ def test_parse_arguments_key_value_and_dashes_give_the_same(given, places, wante
         (["outt=x"], "did you mean out"),
         (["states=9"], "at least 10"),
         (["states=many"], "a whole number"),
+        (["states=20.5"], "a whole number"),
+        (["states=1e400"], "a whole number"),
         (["live=maybe"], "true or false"),
         (["rate=2"], "at most 1"),
         (["rate=nan"], "finite"),
