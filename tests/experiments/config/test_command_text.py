@@ -26,7 +26,22 @@ SPECIAL = st.text(
     alphabet=" =,'\"\\${}[]()/.:-+%~#!*?;&|<>`@^abnull1e5_é\n\t", min_size=1, max_size=9
 )
 READER = OverridesParser.create()
-NAMED = ["null", "True", "nan", "-inf", "1e5", "007", "1_0", "a b", "a=b", "a,b", "x\\", "'\"", "é"]
+NAMED = [
+    "null",
+    "True",
+    "nan",
+    "-inf",
+    "1e5",
+    "007",
+    "1_0",
+    "a b",
+    "a=b",
+    "a,b",
+    "x\\",
+    "'\"",
+    "'\\\"x",
+    "é",
+]
 
 
 def read_by_bash(words):
