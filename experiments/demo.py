@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.command_text import command_text
+from .config.command_text import command_text, option_text
 from .config.schema import option
 from .config.tool_options import run_command
 from .system.process import run_script
@@ -37,7 +37,7 @@ def demo(paths: list[Path], options: Options) -> None:
     print("MountainCar, reward 1 at the goal and 0 elsewhere: does it ever get there?")
     for algo, run in runs.items():
         arguments = ["env=MountainCar", f"algo={algo}", f"num_seeds={options.seeds}"]
-        arguments += [f"total_steps={options.steps}", f"run_dir={run}"]
+        arguments += [f"total_steps={options.steps}", option_text("run_dir", run)]
         print(f"\n$ {command_text(*arguments)}", flush=True)
         if status := run_command_line("run", *arguments).returncode:
             raise SystemExit(status if status > 0 else 128 - status)  # the run printed the reason

@@ -6,6 +6,7 @@ import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+from ..config.command_text import option_text
 from ..reporting.run_report import write_report
 from ..sweeps.job_runner import memory_sharing_variables
 from ..system.errors import ConfigError
@@ -53,7 +54,8 @@ def train_together(
                 if not alone:
                     run_dir.parent.mkdir(parents=True, exist_ok=True)
                     output = files.enter_context(run_dir.with_suffix(".log").open("ab"))
-                arguments = [f"env={env}", f"algo={algo}", f"run_dir={run_dir}", "resume=auto"]
+                arguments = [f"env={env}", f"algo={algo}", "resume=auto"]
+                arguments.append(option_text("run_dir", run_dir))
                 processes.append(
                     start_command("run", arguments, output=output, variables=variables)
                 )

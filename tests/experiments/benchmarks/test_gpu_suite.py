@@ -25,10 +25,11 @@ def test_gpu_suite_runs_stop_at_their_share_and_resume_when_called_again(tmp_pat
 
     whole = 1_003_520
     for minutes in ("0.4", "0.25", "0.15"):  # a fast machine may complete the run
-        first = steps_after(tmp_path / minutes, minutes)
+        out = tmp_path / f"my runs, a={minutes}"  # a name that Hydra reads only in quotes
+        first = steps_after(out, minutes)
         if first < whole:
             break
-    assert 0 < first < steps_after(tmp_path / minutes, minutes) <= whole
+    assert 0 < first < steps_after(out, minutes) <= whole
 
 
 RUN = """#!/bin/sh
