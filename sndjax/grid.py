@@ -85,15 +85,23 @@ SIGNALS: dict[str, Callable[..., Signal]] = exported(signals)
 
 
 def make_signal(
-    name: str, predictor: Encoder, distillation: Mapping[str, Any], gradient: Gradient
+    name: str,
+    predictor: Encoder,
+    distillation: Mapping[str, Any],
+    gradient: Gradient,
+    options: Mapping[str, Any] = {},
 ) -> Signal:
-    """Make a signal with those of these arguments that its constructor takes.
+    """Make a signal with its options and those of the other arguments that its constructor takes.
 
     Args:
       name: a name in `SIGNALS`.
       predictor: the network that copies the encoder.
       distillation: how signals with a predictor reduce.
       gradient: of a forward loss into the encoder.
+      options: further arguments of the constructor.
+
+    Raises:
+      ValueError: the constructor has no such option; those it has are named.
     """
     takes = signature(SIGNALS[name]).parameters
     given: dict[str, Any] = {}
@@ -101,7 +109,10 @@ def make_signal(
         given |= {"predictor": predictor, **distillation}
     if "gradient" in takes:
         given["gradient"] = gradient
-    return SIGNALS[name](**given)
+    if unknown := set(options) - set(takes):
+        known = ", ".join(sorted(set(takes) - {"predictor"}))
+        raise ValueError(f"signal {name} has no option {min(unknown)}; it has {known}")
+    return SIGNALS[name](**{**given, **options})
 
 
 def make_encoder_and_predictor(
@@ -162,6 +173,7 @@ def make_module_from_recipe(
     action_input: bool = False,
     weights: tuple[float, float] = (1.0, 1.0),
     objective_options: Mapping[str, Any] = {},
+    signal_options: Mapping[str, Any] = {},
 ) -> IntrinsicModule:
     """Make the module of a recipe and a signal; as `make_module`, for an objective of one's own.
 
@@ -177,9 +189,11 @@ def make_module_from_recipe(
       action_input: the encoder and the predictor take the action as input.
       weights: of the objective's and of the signal's loss.
       objective_options: arguments of the objective's constructor.
+      signal_options: arguments of the signal's constructor.
 
     Raises:
-      ValueError: `action_input`, and this is not distillation without an objective (QRND).
+      ValueError: `action_input`, and this is not distillation without an objective (QRND); or the
+        signal has no such option.
     """
     if action_input and (recipe.objective is not None or signal != "distillation"):
         raise ValueError("action_input is for the signal 'distillation' without an objective")
@@ -189,7 +203,7 @@ def make_module_from_recipe(
     return make_intrinsic_module(
         encoder,
         recipe.objective(**objective_options) if recipe.objective else None,
-        make_signal(signal, predictor, recipe.distillation, gradient),
+        make_signal(signal, predictor, recipe.distillation, gradient, signal_options),
         num_actions,
         preprocess=preprocess,
         weights=weights,
@@ -215,7 +229,7 @@ def make_module(
 
     >>> from sndjax import VECTOR
     >>> make_module("inverse_dynamics", "re3", 3, VECTOR)  # doctest: +ELLIPSIS
-    IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=3), preprocess='none', ...)
+    IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=4, average=True, ...
     """
     for what, name, known in (("objective", objective, OBJECTIVES), ("signal", signal, SIGNALS)):
         if name not in known:

@@ -26,6 +26,7 @@ from sndjax import (
 )
 from sndjax.grid import OBJECTIVES, SIGNALS
 from sndjax.networks import convolve  # before it is replaced
+from sndjax.signals.ngu import Kernel
 
 # Signals with a loss of their own, and the name of its metric.
 TRAINED = dict.fromkeys(("distillation", "noveld", "ngu"), "distillation_loss")
@@ -59,9 +60,14 @@ class Case(NamedTuple):
     rows: object
 
 
+# Episodes here are too short for ten neighbours, before which nothing is novel.
+TOY_OPTIONS = {"ngu": {"kernel": Kernel(neighbours=2)}}
+
+
 @functools.lru_cache(maxsize=1)
 def case(objective, signal, kind):
-    module = make_module(objective, signal, kind.actions, kind.size)
+    options = TOY_OPTIONS.get(signal, {})
+    module = make_module(objective, signal, kind.actions, kind.size, signal_options=options)
     batch = rollout(kind, np.random.default_rng(0))
     params, state = jax.jit(module.init)(jax.random.key(0), batch.frames[0])
     return Case(

@@ -12,10 +12,10 @@ from sndjax.convolution import to_float
 from sndjax.networks import Encoder
 from sndjax.protocols import EncoderView, Signal
 from sndjax.rollout import map_over_time
-from sndjax.statistics import broadcast_mask
+from sndjax.statistics import broadcast_mask, mask_rows
 from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
-RewardReduction = Literal["mean", "half_sum"]
+RewardReduction = Literal["mean", "half_sum", "norm"]
 LossReduction = Literal["mean", "sum"]
 
 
@@ -30,7 +30,8 @@ def distillation_error(
       predictor_features: of the predictor.
       target: of the encoder.
       reward_reduction: "mean" over d of (predictor - target)^2, as the published experiments have
-        the equation's sum; "half_sum", half the sum over d, is RND's (Burda et al., 2018).
+        the equation's sum; "half_sum", half the sum over d, is RND's (Burda et al., 2018); "norm",
+        the square root of the sum, is NovelD's (Zhang et al., 2021).
 
     >>> distillation_error(jnp.array([[2.0, 0.0]]), jnp.zeros((1, 2)))
     Array([2.], dtype=float32)
@@ -39,7 +40,8 @@ def distillation_error(
     squared = (predictor_features - target) ** 2
     if reward_reduction == "mean":
         return jnp.mean(squared, axis=-1)
-    return jnp.sum(squared, axis=-1) / 2
+    total = jnp.sum(squared, axis=-1)
+    return jnp.sqrt(total) if reward_reduction == "norm" else total / 2
 
 
 def distillation_loss(
@@ -70,7 +72,8 @@ def distillation_loss(
     if update_proportion < 1:
         assert key is not None, "update_proportion < 1 draws entries with a key"
         counted &= jax.random.bernoulli(key, jnp.float32(update_proportion), shape)
-    squared = (predictor_features - lax.stop_gradient(target)) ** 2
+    target = lax.stop_gradient(mask_rows(target, valid))
+    squared = (mask_rows(predictor_features, valid) - target) ** 2
     total = jnp.sum(jnp.where(counted, squared, jnp.zeros_like(squared)))
     if loss_reduction == "sum":
         return total

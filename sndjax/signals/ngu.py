@@ -23,12 +23,16 @@ from sndjax.types import Features, Params, Rollout, RunningStatistics
 
 
 class Memory(NamedTuple):
-    """What each environment's episode has seen, and how far apart states usually are."""
+    """What each environment's episode has seen, and how far apart states usually are.
+
+    The mean is `total / weight`. With a decay both forget, so that the mean follows an encoder that
+    is in training.
+    """
 
     z: Float[Array, "N C d"]  # a ring: the newest C states
     size: Int[Array, " N"]  # states seen since the episode began
-    distances: Float[Array, ""]  # how many neighbour distances are averaged so far
-    mean: Float[Array, ""]  # d_m^2, the mean of their squares
+    weight: Float[Array, ""]  # of the neighbour distances averaged so far
+    total: Float[Array, ""]  # the weighted sum of their squares; d_m^2 is total / weight
 
 
 class Kernel(NamedTuple):
@@ -39,6 +43,8 @@ class Kernel(NamedTuple):
     cluster: float = 0.008
     constant: float = 1e-3
     max_similarity: float = 8.0  # beyond which nothing is novel
+    distance_decay: float = 0.99  # of d_m^2 at each step; 1: the mean over all steps
+    full_memory: bool = True  # nothing is novel before k neighbours are in memory
 
 
 class NGUState(NamedTuple):
@@ -58,10 +64,10 @@ def init_memory(envs: int, memory_size: int, width: int) -> Memory:
       width: d.
     """
     return Memory(
-        z=jnp.zeros((envs, memory_size, width)),
+        z=jnp.zeros((envs, memory_size, width), jnp.float32),
         size=jnp.zeros(envs, jnp.int32),
-        distances=jnp.zeros(()),
-        mean=jnp.zeros(()),
+        weight=jnp.zeros((), jnp.float32),
+        total=jnp.zeros((), jnp.float32),
     )
 
 
@@ -88,8 +94,9 @@ def episodic_novelty(
 
         K(x, y) = epsilon / (max(||x - y||^2 / d_m^2 - xi, 0) + epsilon)
 
-    and 0 where the root plus c is above `max_similarity` (Badia et al., 2020, algorithm 1). The
-    valid rows' distances enter the running mean d_m^2 before it is used.
+    and 0 where the root plus c is above `max_similarity`, or where fewer than k neighbours are in
+    memory (Badia et al., 2020, algorithm 1). The valid rows' distances enter the moving average
+    d_m^2 before it is used.
 
     Args:
       memory: of each environment.
@@ -107,15 +114,19 @@ def episodic_novelty(
     nearest = -lax.top_k(jnp.where(filled, -squared, -jnp.inf), k)[0]
     there = jnp.isfinite(nearest)
     counted = there & valid[:, None]
-    count = memory.distances + jnp.sum(counted, dtype=memory.mean.dtype)
-    total = jnp.sum(jnp.where(counted, nearest, jnp.zeros_like(nearest)))
-    mean = (memory.distances * memory.mean + total) / jnp.maximum(count, 1)
+    some, decay = jnp.any(counted), kernel.distance_decay
+    decayed = lambda x, more: jnp.where(some, decay * x + more, x)
+    weight = decayed(memory.weight, jnp.sum(counted, dtype=memory.weight.dtype))
+    total = decayed(memory.total, jnp.sum(jnp.where(counted, nearest, jnp.zeros_like(nearest))))
+    mean = total / jnp.where(weight > 0, weight, 1)
     distance = nearest / jnp.where(mean > 0, mean, 1)
     distance = jnp.maximum(distance - kernel.cluster, 0)
     similar = jnp.where(there, kernel.epsilon / (distance + kernel.epsilon), 0)
     similarity = jnp.sqrt(jnp.sum(similar, axis=-1)) + kernel.constant
     novelty = jnp.where(similarity > kernel.max_similarity, 0, 1 / similarity)
-    return novelty, memory._replace(distances=count, mean=mean)
+    if kernel.full_memory:
+        novelty = jnp.where(jnp.all(there, axis=-1), novelty, 0)
+    return novelty, memory._replace(weight=weight, total=total)
 
 
 def episodic_rewards(

@@ -1,6 +1,6 @@
 """NovelD: the step from a known state to a novel one, the first time in an episode."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import chex
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.hashing import random_projection, simhash_code
+from sndjax.hashing import centre_features, random_projection, simhash_code
 from sndjax.networks import Encoder
 from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.distillation import (
@@ -18,7 +18,10 @@ from sndjax.signals.distillation import (
     rollout_distillation_error,
 )
 from sndjax.signals.prediction import encode_rollout
-from sndjax.types import Features, Params, Rollout
+from sndjax.statistics import init_running_statistics
+from sndjax.types import Features, Params, Rollout, RunningStatistics
+
+Novelty = Literal["norm", "squared"]
 
 
 class NovelDState(NamedTuple):
@@ -26,6 +29,7 @@ class NovelDState(NamedTuple):
 
     projection: Float[Array, "d k"]  # of the hash
     visited: Bool[Array, "N K"]  # the codes that each environment's episode has seen, K = 2^k
+    features: RunningStatistics | None  # None where features are hashed as they are
 
 
 def first_visits(
@@ -84,24 +88,31 @@ def noveld(
     predictor: Encoder,
     *,
     alpha: float = 0.5,
+    novelty: Novelty = "norm",
     num_hash_bits: int = 14,
+    centre: bool = True,
     reward_reduction: RewardReduction = "mean",
     loss_reduction: LossReduction = "mean",
     update_proportion: float = 1.0,
 ) -> Signal:
     """Make the gain in distillation novelty from s_t to s_t+1, once per state and episode.
 
-    Zhang et al. (2021), whose novelty is RND's. States are distinguished within an episode by a
-    SimHash of `num_hash_bits` signs of their features, N * 2^num_hash_bits flags in the state.
+    Zhang et al. (2021), whose novelty is the norm ||predictor - target||. States are distinguished
+    within an episode by a SimHash of `num_hash_bits` signs of their features, N * 2^num_hash_bits
+    flags in the state.
 
     Args:
       predictor: of the distillation, see `distillation`.
       alpha: how much of the novelty of s_t is subtracted.
+      novelty: "norm" (the paper), or "squared": the distillation error, as the signal
+        `distillation` has it. An alpha of 1/2 on squares is one of 0.71 on norms.
       num_hash_bits: k, of the hash.
-      reward_reduction: of the distillation.
+      centre: subtract the running mean of features before they are hashed, see `centre_features`.
+      reward_reduction: of the distillation error, where `novelty` is "squared".
       loss_reduction: of the distillation.
       update_proportion: of the distillation.
     """
+    reduction: RewardReduction = "norm" if novelty == "norm" else reward_reduction
     base = distillation(
         predictor,
         reward_reduction=reward_reduction,
@@ -120,6 +131,7 @@ def noveld(
         return params, NovelDState(
             projection=random_projection(key_hash, features.z.shape[-1], num_hash_bits),
             visited=jnp.zeros((example.shape[0], 2**num_hash_bits), bool),
+            features=init_running_statistics(features.z.shape[1:]) if centre else None,
         )
 
     def reward(
@@ -130,12 +142,19 @@ def noveld(
         key: PRNGKeyArray,
     ) -> tuple[Float[Array, "T N"], NovelDState]:
         z = encode_rollout(view, rollout.frames)
+        error = rollout_distillation_error(predictor, params, view, rollout.frames, z, reduction)
+        z, seen = centre_features(z, state.features, rollout.valid)
         code = simhash_code(z, state.projection)
         new, visited = first_visits(state.visited, code, rollout)
-        novelty = rollout_distillation_error(
-            predictor, params, view, rollout.frames, z, reward_reduction
-        )
-        return noveld_reward(novelty, new, alpha), state._replace(visited=visited)
+        return noveld_reward(error, new, alpha), state._replace(visited=visited, features=seen)
 
-    settings = {"alpha": alpha, "num_hash_bits": num_hash_bits, **base.settings}
-    return Signal(init, reward, base.loss, name="noveld", settings=settings)
+    settings = {
+        "alpha": alpha,
+        "novelty": novelty,
+        "num_hash_bits": num_hash_bits,
+        "centre": centre,
+    }
+    settings |= base.settings
+    return Signal(
+        init, reward, base.loss, has_published_scale=False, name="noveld", settings=settings
+    )

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 from sndjax.networks import MLP, mlp_widths
 from sndjax.protocols import EncoderView, Signal
 from sndjax.rollout import map_over_time
-from sndjax.statistics import masked_mean
+from sndjax.statistics import mask_rows, masked_mean
 from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
 Gradient = Literal["symmetric", "detached", "asymmetric"]
@@ -47,6 +47,7 @@ def prediction_loss(
     Array(4., dtype=float32)
     """
     chex.assert_equal_shape([predicted, z_next])
+    predicted, z_next = mask_rows(predicted, valid), mask_rows(z_next, valid)
     return masked_mean(jnp.mean((predicted - z_next) ** 2, axis=-1), valid)
 
 

@@ -7,59 +7,107 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.prediction import encode_rollout
-from sndjax.types import Features, Loss, Params, Rollout, State, Transition
+from sndjax.statistics import (
+    init_running_statistics,
+    mask_rows,
+    masked_mean,
+    std,
+    update_running_statistics,
+)
+from sndjax.types import (
+    Features,
+    Loss,
+    Params,
+    Rollout,
+    RunningStatistics,
+    State,
+    Transition,
+)
 
 SLICE = 512  # rows whose distances to all others exist at once
+EXACT_SLICE = 32  # rows whose differences from all others exist at once
+# A squared distance below so many roundings of |z|^2 is not told from others by a matrix product.
+ROUNDINGS = 1000
 
 
 def neighbour_distance(
-    z: Float[Array, "M d"], valid: Bool[Array, " M"], k: int = 3
+    z: Float[Array, "M d"], valid: Bool[Array, " M"], k: int = 3, average: bool = False
 ) -> Float[Array, " M"]:
     """Compute the Euclidean distance of each row to its k-th nearest valid other row.
 
-    Where fewer than k others are valid, the farthest of them; 0 where there is none.
+    Where fewer than k others are valid, k is their number; the distance is 0 where there is none.
+    Neighbours are found with a matrix product, |a|^2 + |b|^2 - 2 a b, where this tells them from
+    others in float32; where it does not, as in tight clusters that are far apart, they are found by
+    differences. Distances are computed from differences.
 
     Args:
       z: features of M rows.
       valid: the rows that count.
       k: which of the nearest.
+      average: return the mean distance to the k nearest instead.
 
     >>> neighbour_distance(jnp.array([[0.0], [1.0], [5.0]]), jnp.ones(3, bool), k=1)
     Array([1., 1., 4.], dtype=float32)
     """
     chex.assert_rank([z, valid], [2, 1])
     rows = z.shape[0]
-    short = -rows % min(SLICE, rows)
-    z = jnp.where(valid[:, None], z, jnp.zeros_like(z))
-    # Centred, so that squares are as small as they can be before they are subtracted.
-    z = z - jnp.sum(z, axis=0, keepdims=True) / jnp.maximum(jnp.sum(valid), 1).astype(z.dtype)
-    squares = jnp.sum(z**2, axis=-1)
-    others = jnp.arange(rows)
     k = min(k, rows - 1)
     if k < 1:
         return jnp.zeros(rows, z.dtype)
+    z = mask_rows(z, valid)
+    # Centred, so that squares are as small as they can be before they are subtracted.
+    centred = mask_rows(z - masked_mean(z, valid)[None], valid)
+    squares = jnp.sum(centred**2, axis=-1)
+    rounding = ROUNDINGS * jnp.finfo(z.dtype).eps
+    others = jnp.arange(rows)
 
-    def slice_distance(index: Int[Array, " S"]) -> Float[Array, " S"]:
-        inner = z[index] @ z.T
-        distance = squares[None, :] - 2 * inner  # less the row's own square, the same for all
+    def exact_squares(index: Int[Array, " S"]) -> Float[Array, "S k"]:
+        def some(index: Int[Array, " E"]) -> Float[Array, "E k"]:
+            squared = jnp.sum((z[index][:, None] - z[None]) ** 2, axis=-1)
+            candidate = valid[None, :] & (others[None, :] != index[:, None])
+            return -lax.top_k(jnp.where(candidate, -squared, -jnp.inf), k)[0]
+
+        return lax.map(some, index.reshape(-1, EXACT_SLICE)).reshape(-1, k)
+
+    def slice_squares(index: Int[Array, " S"]) -> Float[Array, "S k"]:
+        product = squares[None, :] - 2 * centred[index] @ centred.T  # less the row's own square
         candidate = valid[None, :] & (others[None, :] != index[:, None])
-        score, nearest = lax.top_k(jnp.where(candidate, -distance, -jnp.inf), k)
-        # The product only finds the neighbours: their distances are taken without cancellation.
-        exact = jnp.sqrt(jnp.sum((z[index][:, None] - z[nearest]) ** 2, axis=-1))
-        return jnp.max(jnp.where(jnp.isfinite(score), exact, jnp.zeros_like(exact)), axis=-1)
+        score, nearest = lax.top_k(jnp.where(candidate, -product, -jnp.inf), k)
+        found = jnp.sum((z[index][:, None] - z[nearest]) ** 2, axis=-1)
+        there = jnp.isfinite(score)
+        blurred = found < rounding * (squares[index][:, None] + squares[nearest])
+        found = jnp.where(there, found, jnp.inf)
+        # With no more than k others, every one of them is a neighbour.
+        choice = jnp.sum(valid) > k + 1
+        unsure = choice & jnp.any(blurred & there & valid[index][:, None])
+        return lax.cond(unsure, exact_squares, lambda _: found, index)
 
-    index = jnp.pad(others, (0, short)).reshape(-1, min(SLICE, rows))
-    return lax.map(slice_distance, index).reshape(-1)[:rows]
+    size = min(SLICE, rows + -rows % EXACT_SLICE)
+    index = jnp.pad(others, (0, -rows % size)).reshape(-1, size)
+    squared = lax.map(slice_squares, index).reshape(-1, k)[:rows]
+    there = jnp.isfinite(squared)
+    distance = jnp.sqrt(jnp.where(there, squared, 0))
+    if average:
+        return jnp.sum(distance, axis=-1) / jnp.maximum(jnp.sum(there, axis=-1), 1)
+    return jnp.max(distance, axis=-1)
 
 
-def re3(k: int = 3) -> Signal:
-    """Make log(1 + distance of s_t to its k-th nearest neighbour) (eq. 4.46; Seo et al., 2021).
+def re3(k: int = 4, *, average: bool = True, normalize: bool = True) -> Signal:
+    """Make log(1 + distance of s_t to its nearest neighbours) (eq. 4.46; Seo et al., 2021).
 
-    Neighbours are the valid states of the same rollout. Nothing is trained by the signal;
-    the paper's encoder is random and frozen.
+    The defaults are those of the authors' code for MiniGrid: the mean distance to the nearest
+    states, over its running standard deviation, without which the reward depends on the scale of
+    the features. (The authors average over five, the state itself among them.) Neighbours are the
+    valid states of the same rollout. Nothing is trained by the signal; the paper's encoder is
+    random and frozen.
+
+    Args:
+      k: number of neighbours.
+      average: the mean distance to the k nearest; False: the distance to the k-th (eq. 4.46).
+      normalize: divide distances by their running standard deviation, this rollout included.
 
     >>> re3()
-    re3(k=3)
+    re3(k=4, average=True, normalize=True)
     """
 
     def init(
@@ -67,19 +115,24 @@ def re3(k: int = 3) -> Signal:
         example: Shaped[Array, "N *frame"],
         features: Features,
         num_actions: int,
-    ) -> tuple[Params, State]:
-        return {}, {}
+    ) -> tuple[Params, RunningStatistics | None]:
+        return {}, init_running_statistics(()) if normalize else None
 
     def reward(
         params: Params,
-        state: State,
+        state: RunningStatistics | None,
         view: EncoderView,
         rollout: Rollout,
         key: PRNGKeyArray,
-    ) -> tuple[Float[Array, "T N"], State]:
+    ) -> tuple[Float[Array, "T N"], RunningStatistics | None]:
+        valid = rollout.valid
         z = encode_rollout(view, rollout.frames[:-1])
-        distance = neighbour_distance(z.reshape(-1, z.shape[-1]), rollout.valid.reshape(-1), k)
-        return jnp.log1p(distance).reshape(rollout.valid.shape), state
+        rows = z.reshape(-1, z.shape[-1])
+        distance = neighbour_distance(rows, valid.reshape(-1), k, average).reshape(valid.shape)
+        if state is not None:
+            state = update_running_statistics(state, distance, valid)
+            distance = distance / std(state)
+        return jnp.log1p(distance), state
 
     def loss(
         params: Params,
@@ -91,4 +144,5 @@ def re3(k: int = 3) -> Signal:
     ) -> Loss:
         return jnp.zeros((), features.z.dtype), {}
 
-    return Signal(init, reward, loss, has_published_scale=False, name="re3", settings={"k": k})
+    settings = {"k": k, "average": average, "normalize": normalize}
+    return Signal(init, reward, loss, has_published_scale=False, name="re3", settings=settings)

@@ -5,10 +5,19 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.hashing import random_projection, simhash_code
+from sndjax.hashing import centre_features, random_projection, simhash_code
 from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.prediction import encode_rollout
-from sndjax.types import Features, Loss, Params, Rollout, State, Transition
+from sndjax.statistics import init_running_statistics
+from sndjax.types import (
+    Features,
+    Loss,
+    Params,
+    Rollout,
+    RunningStatistics,
+    State,
+    Transition,
+)
 
 
 class SimHashState(NamedTuple):
@@ -16,6 +25,7 @@ class SimHashState(NamedTuple):
 
     counts: Float[Array, " K"]  # of each code, K = 2^k
     projection: Float[Array, "d k"]
+    features: RunningStatistics | None  # None where features are hashed as they are
 
 
 def add_counts(
@@ -34,14 +44,18 @@ def add_counts(
     return counts.at[code].add(valid.astype(counts.dtype))
 
 
-def simhash(num_hash_bits: int = 16) -> Signal:
+def simhash(num_hash_bits: int = 16, *, centre: bool = True) -> Signal:
     """Make 1 / sqrt(n(Phi(s_t))), Phi the signs of `num_hash_bits` random projections (eq. 4.18).
 
     Tang et al. (2017). The rollout's own states are counted before its rewards are read. The
     counts of a trained encoder are of codes that drift with it. Nothing is trained by the signal.
 
+    Args:
+      num_hash_bits: k, of the hash.
+      centre: subtract the running mean of features before they are hashed, see `centre_features`.
+
     >>> simhash()
-    simhash(num_hash_bits=16)
+    simhash(num_hash_bits=16, centre=True)
     """
 
     def init(
@@ -50,8 +64,12 @@ def simhash(num_hash_bits: int = 16) -> Signal:
         features: Features,
         num_actions: int,
     ) -> tuple[Params, SimHashState]:
-        projection = random_projection(key, features.z.shape[-1], num_hash_bits)
-        return {}, SimHashState(counts=jnp.zeros(2**num_hash_bits), projection=projection)
+        width = features.z.shape[-1]
+        return {}, SimHashState(
+            counts=jnp.zeros(2**num_hash_bits, jnp.float32),
+            projection=random_projection(key, width, num_hash_bits),
+            features=init_running_statistics((width,)) if centre else None,
+        )
 
     def reward(
         params: Params,
@@ -61,10 +79,11 @@ def simhash(num_hash_bits: int = 16) -> Signal:
         key: PRNGKeyArray,
     ) -> tuple[Float[Array, "T N"], SimHashState]:
         z = encode_rollout(view, rollout.frames[:-1])
+        z, seen = centre_features(z, state.features, rollout.valid)
         code = simhash_code(z, state.projection)
         counts = add_counts(state.counts, code.reshape(-1), rollout.valid.reshape(-1))
         novelty = 1 / jnp.sqrt(jnp.maximum(counts[code], 1))
-        return novelty, state._replace(counts=counts)
+        return novelty, state._replace(counts=counts, features=seen)
 
     def loss(
         params: Params,
@@ -76,5 +95,5 @@ def simhash(num_hash_bits: int = 16) -> Signal:
     ) -> Loss:
         return jnp.zeros((), features.z.dtype), {}
 
-    settings = {"num_hash_bits": num_hash_bits}
+    settings = {"num_hash_bits": num_hash_bits, "centre": centre}
     return Signal(init, reward, loss, name="simhash", settings=settings)

@@ -5,7 +5,7 @@ from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import distillation_error, make_module, noveld_reward
+from sndjax import make_module, noveld_reward
 from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 from sndjax.signals.noveld import first_visits as eager_first_visits
 
@@ -54,7 +54,7 @@ def test_noveld_reward_random_novelty_equals_equation(seed, alpha):
     np.testing.assert_allclose(got, wanted, rtol=1e-5, atol=1e-6)
 
 
-def test_noveld_module_reward_is_gain_in_distillation_error_at_first_visits():
+def test_noveld_module_reward_is_gain_in_norm_of_distance_at_first_visits():
     made = rollout(VECTOR, np.random.default_rng(0))
     module = make_module("vicreg", "noveld", VECTOR.actions, VECTOR.size)
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
@@ -65,10 +65,24 @@ def test_noveld_module_reward_is_gain_in_distillation_error_at_first_visits():
     frames = made.frames.reshape(36, -1)
     target, _ = encoder.apply(params.encoder, frames)
     copy, _ = learned.apply(params.signal, frames)
-    novelty = np.asarray(distillation_error(copy, target)).reshape(9, 4)
-    code = np.asarray(target) @ np.asarray(state.signal.projection) > 0
+    difference = np.asarray(copy, np.float64) - np.asarray(target)
+    novelty = np.sqrt((difference**2).sum(-1)).reshape(9, 4)
+    seen = np.asarray(target, np.float64).reshape(9, 4, -1)
+    centred = np.asarray(target) - seen[:-1][np.asarray(made.valid)].mean(0)
+    code = centred @ np.asarray(state.signal.projection) > 0
     names = np.unique(code, axis=0, return_inverse=True)[1].reshape(9, 4)
     new, _ = in_numpy(np.zeros((4, 36)), names, made)
     wanted = np.where(new, np.maximum(novelty[1:] - 0.5 * novelty[:-1], 0), 0)
     np.testing.assert_allclose(reward, wanted, rtol=1e-4, atol=1e-6)
     assert np.any(wanted > 0)
+    options = {"novelty": "squared", "centre": False}
+    before = make_module("vicreg", "noveld", VECTOR.actions, VECTOR.size, signal_options=options)
+    _, plain = jax.jit(before.init)(jax.random.key(0), made.frames[0])
+    reward, after = jax.jit(before.reward)(params, plain, made, jax.random.key(1))
+    assert after.signal.features is None
+    novelty = (difference**2).mean(-1).reshape(9, 4)
+    code = np.asarray(target) @ np.asarray(state.signal.projection) > 0
+    names = np.unique(code, axis=0, return_inverse=True)[1].reshape(9, 4)
+    new, _ = in_numpy(np.zeros((4, 36)), names, made)
+    wanted = np.where(new, np.maximum(novelty[1:] - 0.5 * novelty[:-1], 0), 0)
+    np.testing.assert_allclose(reward, wanted, rtol=1e-4, atol=1e-6)

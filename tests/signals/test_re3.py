@@ -6,33 +6,71 @@ from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import make_module
+from sndjax import EncoderView, Features, make_module, re3
 from sndjax import neighbour_distance as eager_distance
 from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
 
-neighbour_distance = jax.jit(eager_distance, static_argnames="k")
+neighbour_distance = jax.jit(eager_distance, static_argnames=("k", "average"))
 VECTOR = KINDS[2]
 
 
-def in_numpy(z, valid, k):
-    """Sort all distances to the other valid rows in float64, and return the k-th."""
+def in_numpy(z, valid, k, average=False):
+    """Sort all distances to the other valid rows in float64; return the k-th, or the mean of k."""
     z = np.asarray(z, np.float64)
     wanted = np.zeros(len(z))
     for i in range(len(z)):
         others = [np.linalg.norm(z[i] - z[j]) for j in range(len(z)) if valid[j] and j != i]
         if others:
-            wanted[i] = sorted(others)[min(k, len(others)) - 1]
+            nearest = sorted(others)[:k]
+            wanted[i] = np.mean(nearest) if average else nearest[-1]
     return wanted
 
 
 @settings(deadline=None, max_examples=20)
-@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 3]), st.sampled_from([0.0, 0.3, 1.0]))
-def test_neighbour_distance_random_rows_equals_brute_force(seed, k, chance):
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1, 3]),
+    st.sampled_from([0.0, 0.3, 1.0]),
+    st.booleans(),
+)
+def test_neighbour_distance_random_rows_equals_brute_force(seed, k, chance, average):
     rng = np.random.default_rng(seed)
     z = rng.normal(size=(20, 4)).astype(np.float32)
     valid = rng.random(20) < chance
-    got = np.asarray(neighbour_distance(jnp.asarray(z), jnp.asarray(valid), k=k))
-    np.testing.assert_allclose(got[valid], in_numpy(z, valid, k)[valid], rtol=1e-5)
+    got = np.asarray(neighbour_distance(jnp.asarray(z), jnp.asarray(valid), k=k, average=average))
+    np.testing.assert_allclose(got[valid], in_numpy(z, valid, k, average)[valid], rtol=1e-5)
+
+
+@pytest.mark.parametrize("far", [10.0, 1000.0])
+def test_neighbour_distance_tight_clusters_far_apart_is_exact(far):
+    """One centre for all is not enough: a product's rounding hides the distances in a cluster."""
+    rng = np.random.default_rng(0)
+    centres = far * rng.normal(size=(6, 8))
+    z = (centres[rng.integers(0, 6, 300)] + 0.01 * rng.normal(size=(300, 8))).astype(np.float32)
+    got = neighbour_distance(jnp.asarray(z), jnp.ones(300, bool), k=3)
+    np.testing.assert_allclose(got, in_numpy(z, np.ones(300, bool), 3), rtol=1e-5)
+
+
+def test_re3_default_reward_does_not_depend_on_the_scale_of_features():
+    rng = np.random.default_rng(0)
+    made = rollout(VECTOR, rng)
+    z = rng.normal(size=(8, 4, 6))
+
+    def read(signal, scale):
+        features = jnp.asarray(scale * z, jnp.float32)
+        view = EncoderView(lambda x: x, lambda frame, action=None: (frame, frame))
+        _, state = signal.init(
+            jax.random.key(0), features[0], Features(features[0], *3 * [None]), 3
+        )
+        padded = jnp.concatenate([features, features[:1]])
+        reward, _ = signal.reward({}, state, view, made._replace(frames=padded), jax.random.key(0))
+        return np.asarray(reward)[np.asarray(made.valid)]
+
+    rewards = [read(re3(), scale) for scale in (1e-3, 1.0, 100.0)]
+    np.testing.assert_allclose(rewards[0], rewards[1], rtol=1e-3)
+    np.testing.assert_allclose(rewards[2], rewards[1], rtol=1e-3)
+    paper = re3(k=3, average=False, normalize=False)  # eq. 4.46 as printed
+    assert read(paper, 100.0).mean() > 100 * read(paper, 1e-3).mean()
 
 
 @pytest.mark.parametrize("rows", [1, 2, 511, 512, 513, 1100])
@@ -67,5 +105,6 @@ def test_re3_reward_is_log_of_neighbour_distance_of_features():
     encoder, _ = make_encoder_and_predictor(OBJECTIVES["none"], VECTOR.size, "elu", "asymmetric")
     z, _ = encoder.apply(state.encoder, made.frames[:-1].reshape(32, -1))
     valid = np.asarray(made.valid).ravel()
-    wanted = np.log(in_numpy(z, valid, 3) + 1)
-    np.testing.assert_allclose(np.asarray(reward).ravel()[valid], wanted[valid], rtol=1e-3)
+    distance = in_numpy(z, valid, 4, average=True)[valid]
+    wanted = np.log(distance / distance.std() + 1)
+    np.testing.assert_allclose(np.asarray(reward).ravel()[valid], wanted, rtol=1e-3)
