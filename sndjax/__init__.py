@@ -25,6 +25,7 @@ from sndjax.algorithms import (
     sp_vic,
     sp_vinv,
 )
+from sndjax.checks import check_rollout
 from sndjax.grid import ObjectiveRecipe, make_module, make_module_from_recipe
 from sndjax.guard import all_finite, skip_nonfinite
 from sndjax.intrinsic_module import IntrinsicModule
@@ -120,6 +121,7 @@ __all__ = [
     "barlow_twins_loss",
     "byol",
     "byol_distance",
+    "check_rollout",
     "clipped_surrogate",
     "contrastive",
     "contrastive_loss",

@@ -118,10 +118,12 @@ def act(
     logits, value = forward(agent.network, actor.policy, stack_to_channels(seen))
     key = jax.random.fold_in(jax.random.fold_in(actor.key, 1), step)
     key_action, key_random, key_which = jax.random.split(key, 3)
-    action = jax.random.categorical(key_action, logits)
+    action = jax.random.categorical(key_action, logits).astype(jnp.int32)
     executed = action
     if agent.random_action > 0:
-        instead = jax.random.randint(key_which, action.shape, 0, agent.network.num_actions)
+        instead = jax.random.randint(
+            key_which, action.shape, 0, agent.network.num_actions, jnp.int32
+        )
         replaced = jax.random.bernoulli(key_random, agent.random_action, action.shape)
         executed = jnp.where(replaced, instead, action)
     return ActOutput(action, executed, ppo.log_prob(logits, action), value), window

@@ -48,12 +48,19 @@ SLOPES: dict[str, Callable[[Array], Array]] = {
 
 
 def to_float(x: Shaped[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Convert pixels `uint8` to `float32` in [0, 1]; return anything else as it is.
+    """Convert frames to floats.
+
+    Pixels become `float32` in [0, 1]: `uint8` always, other integers where the frame is an image
+    [H, W, C]. Other integers and booleans keep their values. Floats stay as they are: an image of
+    floats must be in [0, 1] already.
 
     >>> to_float(jnp.array([0, 255], jnp.uint8))
     Array([0., 1.], dtype=float32)
     """
-    return x.astype(jnp.float32) / 255.0 if x.dtype == jnp.uint8 else x
+    if jnp.issubdtype(x.dtype, jnp.floating):
+        return x
+    pixels = x.dtype == jnp.uint8 or (jnp.issubdtype(x.dtype, jnp.integer) and x.ndim >= 4)
+    return x.astype(jnp.float32) / 255.0 if pixels else x.astype(jnp.float32)
 
 
 def patches(x: Shaped[Array, "B H W C"], layer: Convolution) -> Float[Array, "B I J K"]:
@@ -269,7 +276,7 @@ def convolve(
     `*` is the cross-correlation.
 
     Args:
-      x: `uint8` pixels (read as x / 255) or `float32`, channels last.
+      x: integer pixels (read as x / 255) or floats, channels last.
       weights: of each layer its kernel `[k, k, C, O]` and its bias `[O]`.
       layers: of each layer its channels O, its kernel side k, its stride and its padding.
       activation: "elu", "relu" or "none".
@@ -283,6 +290,7 @@ def convolve(
     >>> [y.shape for y in convolve(jnp.ones((2, 4, 4, 1)), weights, layers, "relu", (0, 1))]
     [(2, 2, 2, 5), (2, 2, 2, 7)]
     """
+    x = x if x.dtype == jnp.uint8 else to_float(x)  # uint8 is converted patch by patch
     count = x.shape[0]
     short = -count % slice_count(count)
     x = jnp.pad(x, ((0, short), (0, 0), (0, 0), (0, 0)))

@@ -2,18 +2,20 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
+from sndjax.checks import check_actions, check_rollout
 from sndjax.convolution import to_float
+from sndjax.encoder_view import Parts, apply_encoder, encode_batch, view_encoder
 from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.networks import Encoder
-from sndjax.preprocessing import Preprocess, make_preprocess
-from sndjax.protocols import EncoderView, Objective, Signal, TargetNetwork
+from sndjax.preprocessing import Preprocess
+from sndjax.protocols import Objective, Signal, TargetNetwork
 from sndjax.rollout import zero_invalid_rows
 from sndjax.statistics import (
     feature_std_over_batch,
@@ -25,43 +27,10 @@ from sndjax.types import (
     Loss,
     ModuleParams,
     ModuleState,
-    Params,
     Rollout,
     TargetWeights,
     Transition,
 )
-
-
-class Parts(NamedTuple):
-    """What a module is made of.
-
-    Attributes:
-      encoder: the network that features come from.
-      objective: what trains it, if anything does.
-      signal: what is read off it.
-      num_actions: A.
-      preprocess: what frames go through first.
-      weights: of the objective's and of the signal's loss.
-    """
-
-    encoder: Encoder
-    objective: Objective | None
-    signal: Signal
-    num_actions: int
-    preprocess: Preprocess
-    weights: tuple[float, float]
-
-    @property
-    def needs_pairs(self) -> bool:
-        """True if a loss reads the features of s_t+1."""
-        return self.signal.needs_pairs or (
-            self.objective is not None and self.objective.needs_pairs
-        )
-
-    @property
-    def ema_decay(self) -> float | None:
-        """The decay of the objective's target networks; None without any."""
-        return None if self.objective is None else self.objective.ema_decay
 
 
 def make_intrinsic_module(
@@ -135,46 +104,6 @@ def init_module(
     )
 
 
-def apply_encoder(
-    encoder: Encoder,
-    weights: Params,
-    frames: Shaped[Array, "B *frame"],
-    action: Int[Array, " B"] | None = None,
-) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
-    """Return features z and the local map of a batch of preprocessed frames.
-
-    Args:
-      encoder: the network.
-      weights: its weights.
-      frames: what it reads.
-      action: for encoders that take the action as input.
-    """
-    return cast(tuple[Array, Array], encoder.apply(weights, frames, action))
-
-
-def view_encoder(
-    parts: Parts, params: ModuleParams, state: ModuleState, weights: Params | None = None
-) -> EncoderView:
-    """Return how the module sees frames now.
-
-    Args:
-      parts: what it is made of.
-      params: of the module.
-      state: of the module.
-      weights: of the encoder; None: its own.
-    """
-    preprocess = make_preprocess(parts.preprocess, state.moments)
-    if weights is None:
-        weights = state.encoder if parts.objective is None else params.encoder
-
-    def encode(
-        frames: Shaped[Array, "B *frame"], action: Int[Array, " B"] | None = None
-    ) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
-        return apply_encoder(parts.encoder, weights, preprocess(frames), action)
-
-    return EncoderView(preprocess=preprocess, encode=encode)
-
-
 def module_reward(
     parts: Parts,
     params: ModuleParams,
@@ -192,7 +121,11 @@ def module_reward(
       rollout: what to read.
       key: of the random draws.
       update_statistics: add the rollout to the running statistics of the input first.
+
+    Raises:
+      ValueError: the arrays of the rollout do not belong together, see `check_rollout`.
     """
+    check_rollout(rollout, parts.num_actions)
     if state.moments is not None and update_statistics:
         moments = update_running_statistics(
             state.moments, rollout.frames[:-1], rollout.valid, to_float
@@ -202,26 +135,6 @@ def module_reward(
     value, own = parts.signal.reward(params.signal, state.signal, view, rollout, key)
     value = jnp.where(rollout.valid, value, jnp.zeros_like(value))
     return value, state._replace(signal=own)
-
-
-def encode_batch(parts: Parts, view: EncoderView, batch: Transition) -> Features:
-    """Return the features of a minibatch, of s_t+1 too where a loss reads them.
-
-    Args:
-      parts: what the module is made of.
-      view: the encoder.
-      batch: the minibatch.
-    """
-    if parts.needs_pairs:
-        z, local = view.encode(batch.frames)
-        return Features(
-            z=batch.at_t(z),
-            z_next=batch.at_next(z),
-            local=batch.at_t(local),
-            local_next=batch.at_next(local),
-        )
-    z, local = view.encode(batch.frame, batch.action)
-    return Features(z=z, z_next=z, local=local, local_next=local)
 
 
 def module_loss(
@@ -241,7 +154,11 @@ def module_loss(
       batch: the minibatch.
       rollout: the rollout that it is from.
       key: of the random draws.
+
+    Raises:
+      ValueError: an action is not below A, where its value is known.
     """
+    check_actions(batch.action, batch.valid, parts.num_actions)
     batch = zero_invalid_rows(batch)
     key_objective, key_signal = jax.random.split(key)
     view = view_encoder(parts, params, state)

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
+from sndjax.checks import check_images
 from sndjax.convolution import ACTIVATIONS, Activation, Convolution, convolve, to_float
 from sndjax.types import Params
 
@@ -103,11 +104,13 @@ class Torso(nn.Module):
             for width in self.hidden:
                 x = ACTIVATIONS[self.activation](linear(width, self.gain)(x))
             return x, x[:, None, None, :]
+        check_images(x)
         weights, channels = [], x.shape[-1]
         for i, layer in enumerate(self.convolutions):
             shape = (layer.size, layer.size, channels, layer.channels)
-            kernel = self.param(f"kernel_{i}", nn.initializers.orthogonal(self.gain), shape)
-            bias = self.param(f"bias_{i}", nn.initializers.zeros, (layer.channels,))
+            orthogonal, zeros = nn.initializers.orthogonal(self.gain), nn.initializers.zeros
+            kernel = self.param(f"kernel_{i}", orthogonal, shape, jnp.float32)
+            bias = self.param(f"bias_{i}", zeros, (layer.channels,), jnp.float32)
             weights.append((kernel, bias))
             channels = layer.channels
         layers = tuple(self.convolutions)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sndjax.returns import generalized_advantage
-from sndjax.statistics import broadcast_mask, masked_mean
+from sndjax.statistics import mask_rows, masked_mean
 from sndjax.types import Experience, Metrics
 
 
@@ -95,6 +95,8 @@ def loss(
       The scalar loss, and its terms with the KL estimate mean(ratio - 1 - ln ratio) and
       the share of rows whose ratio was clipped.
     """
+    rows = (logits, value, action, old_log_prob, advantage, target)
+    logits, value, action, old_log_prob, advantage, target = (mask_rows(x, valid) for x in rows)
     log_ratio = log_prob(logits, action) - old_log_prob
     ratio = jnp.exp(log_ratio)
     policy = -masked_mean(clipped_surrogate(ratio, advantage, hyper.clip), valid)
@@ -153,4 +155,4 @@ def compute_advantages(
     if hyper.normalize_advantages:
         mean = jnp.mean(total, where=valid)
         total = jnp.where(valid, (total - mean) / (jnp.std(total, where=valid) + 1e-8), 0.0)
-    return total, jnp.where(broadcast_mask(valid, targets), targets, 0.0)
+    return total, mask_rows(targets, valid)

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, Shaped
 
-from sndjax.statistics import broadcast_mask
+from sndjax.checks import check_rollout, check_rows
+from sndjax.statistics import broadcast_mask, mask_rows
 from sndjax.types import Experience, Rollout, Transition
 
 SLICE = 512  # frames that go through an encoder at once when rewards are read
@@ -26,12 +27,20 @@ def gather_transitions(rollout: Rollout, index: Int[Array, " B"]) -> Transition:
 
     Args:
       rollout: T steps of N environments.
-      index: B rows, each below T * N.
+      index: B rows, each below T * N. Inside `jax.jit`, where an index cannot be checked, a row
+        that does not exist is not valid.
+
+    Raises:
+      ValueError: a row does not exist, or the arrays of the rollout do not belong together.
     """
-    envs = rollout.action.shape[1]
+    check_rollout(rollout)
+    rows, envs = rollout.action.size, rollout.action.shape[1]
+    check_rows(index, rows)
     frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
     seen = jnp.concatenate([frames[index], frames[index + envs]])
-    return Transition(seen, *(x.reshape(-1)[index] for x in rollout[1:]))
+    action, first, done, valid = (x.reshape(-1)[index] for x in rollout[1:])
+    there = (index >= 0) & (index < rows)
+    return Transition(seen, action, first, done, valid & there)
 
 
 def slice_transitions(rollout: Rollout, start: Int[Array, ""], rows: int) -> Transition:
@@ -41,7 +50,11 @@ def slice_transitions(rollout: Rollout, start: Int[Array, ""], rows: int) -> Tra
       rollout: T steps of N environments.
       start: the first row of the flattened rollout.
       rows: B.
+
+    Raises:
+      ValueError: the arrays of the rollout do not belong together.
     """
+    check_rollout(rollout)
     envs = rollout.action.shape[1]
     cut = lambda x, size: lax.dynamic_slice_in_dim(x, start, size)
     frames = cut(rollout.frames.reshape(-1, *rollout.frames.shape[2:]), rows + envs)
@@ -58,8 +71,8 @@ def zero_invalid_rows(batch: Transition) -> Transition:
     others = (0, frames.shape[0] - valid.shape[0])
     seen = jnp.pad(valid, others) | jnp.pad(valid, others[::-1])  # as s_t, or as s_t+1
     return batch._replace(
-        frames=jnp.where(broadcast_mask(seen, frames), frames, jnp.zeros_like(frames)),
-        action=jnp.where(valid, batch.action, 0),
+        frames=mask_rows(frames, seen),
+        action=mask_rows(batch.action, valid),
         first=batch.first & batch.valid,
         done=batch.done & batch.valid,
     )
@@ -69,7 +82,7 @@ def zero_reset_rows(batch: Experience) -> Experience:
     """Replace what reset rows hold, frames apart, by zeros."""
     rollout = batch.rollout
     valid = rollout.valid
-    zero = lambda x: jnp.where(broadcast_mask(valid, x), x, jnp.zeros_like(x))
+    zero = lambda x: mask_rows(x, valid)
     return batch._replace(
         rollout=rollout._replace(
             action=zero(rollout.action), first=rollout.first & valid, done=rollout.done & valid
@@ -130,11 +143,7 @@ def make_frame_stacker(batch: Experience, stack: FrameStack) -> Callable[[Int[Ar
         def back(k: int) -> Array:
             seen = jnp.minimum(k, own) if stack.repeat else k
             frame = frames[index + (older - seen) * envs]
-            return (
-                frame
-                if stack.repeat
-                else jnp.where(broadcast_mask(k <= own, frame), frame, jnp.zeros_like(frame))
-            )
+            return frame if stack.repeat else mask_rows(frame, k <= own)
 
         return stack_to_channels(jnp.stack([back(k) for k in range(older, -1, -1)]))
 

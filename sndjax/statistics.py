@@ -9,15 +9,29 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 from sndjax.types import ReturnStatistics, RunningStatistics
 
+ROUNDINGS = 8  # a deviation below so many roundings of the mean counts as none
+
 
 def broadcast_mask(mask: Bool[Array, "*rows"], like: Array) -> Array:
     """Return the mask with trailing axes of size one, so that it broadcasts against `like`."""
     return mask.reshape(mask.shape + (1,) * (like.ndim - mask.ndim))
 
 
+def mask_rows(x: Shaped[Array, "*rows_rest"], valid: Bool[Array, "*rows"]) -> Array:
+    """Replace the rows that are not valid by zeros.
+
+    A loss does this to its inputs, before it squares them: a mask on the result alone leaves a NaN
+    in the gradient, because 0 times NaN is NaN in the backward pass.
+
+    >>> mask_rows(jnp.array([1.0, jnp.nan]), jnp.array([True, False]))
+    Array([1., 0.], dtype=float32)
+    """
+    return jnp.where(broadcast_mask(valid, x), x, jnp.zeros_like(x))
+
+
 def masked_sum(x: Float[Array, "B *rest"], valid: Bool[Array, " B"]) -> Float[Array, "*rest"]:
     """Sum over the valid rows; what the others hold, NaN included, is ignored."""
-    return jnp.sum(jnp.where(broadcast_mask(valid, x), x, jnp.zeros_like(x)), axis=0)
+    return jnp.sum(mask_rows(x, valid), axis=0)
 
 
 def valid_count(valid: Bool[Array, "*rows"], dtype: DTypeLike = jnp.float32) -> Float[Array, ""]:
@@ -49,7 +63,8 @@ def safe_sqrt(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 
 def init_running_statistics(shape: tuple[int, ...]) -> RunningStatistics:
     """Return the running statistics of no sample yet."""
-    return RunningStatistics(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
+    zero = lambda shape: jnp.zeros(shape, jnp.float32)
+    return RunningStatistics(zero(()), zero(shape), zero(shape))
 
 
 def merge_statistics(a: RunningStatistics, b: RunningStatistics) -> RunningStatistics:
@@ -63,8 +78,13 @@ def merge_statistics(a: RunningStatistics, b: RunningStatistics) -> RunningStati
 
 
 def batch_statistics(x: Float[Array, "B *shape"], valid: Bool[Array, " B"]) -> RunningStatistics:
-    """Compute the statistics of the valid rows of one batch."""
+    """Compute the statistics of the valid rows of one batch.
+
+    The mean is corrected by the mean distance from it, so that its error is one rounding, however
+    many rows there are. The deviation of a constant is then one rounding too, see `std`.
+    """
     mean = masked_mean(x, valid)
+    mean = mean + masked_mean(x - mean[None], valid)
     return RunningStatistics(
         jnp.sum(valid, dtype=x.dtype), mean, masked_sum((x - mean[None]) ** 2, valid)
     )
@@ -96,25 +116,34 @@ def update_running_statistics(
     """
 
     def step(total: RunningStatistics, row: tuple[Array, Array]) -> tuple[RunningStatistics, None]:
-        return merge_statistics(total, batch_statistics(to_float(row[0]), row[1])), None
+        x = to_float(row[0]).astype(total.mean.dtype)
+        return merge_statistics(total, batch_statistics(x, row[1])), None
 
-    seen, _ = lax.scan(step, init_running_statistics(moments.mean.shape), (x, valid))
+    nothing = RunningStatistics(*map(jnp.zeros_like, moments))
+    seen, _ = lax.scan(step, nothing, (x, valid))
     return merge_statistics(moments, seen)
 
 
 def std(moments: RunningStatistics) -> Float[Array, "*shape"]:
-    """Compute the standard deviation of the samples seen, 1 where none or no variance was seen.
+    """Compute the standard deviation of the samples seen, 1 where no variance was seen.
+
+    A deviation of less than a few roundings of the mean is no variance: it is what the arithmetic
+    makes of a constant. Divided by it, a constant 9.81 would become 10 million.
 
     >>> std(init_running_statistics((2,)))
     Array([1., 1.], dtype=float32)
+    >>> std(RunningStatistics(jnp.array(9.0), jnp.array([9.81, 0.0]), jnp.array([9e-12, 9e-12])))
+    Array([1.e+00, 1.e-06], dtype=float32)
     """
     variance = moments.m2 / jnp.maximum(moments.samples, 1)
-    return jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 1)
+    rounding = ROUNDINGS * jnp.finfo(variance.dtype).eps * moments.mean
+    spread = variance > rounding**2
+    return jnp.where(spread, jnp.sqrt(jnp.where(spread, variance, 1)), 1)
 
 
 def init_return_statistics(num_envs: int) -> ReturnStatistics:
     """Return the statistics before any reward was seen."""
-    return ReturnStatistics(init_running_statistics(()), jnp.zeros(num_envs))
+    return ReturnStatistics(init_running_statistics(()), jnp.zeros(num_envs, jnp.float32))
 
 
 def update_return_statistics(

@@ -4,38 +4,26 @@
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
-from jax import lax
-from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from sndjax import ppo
-from sndjax.acting import AgentSpec, forward, scale_vectors
+from sndjax.acting import AgentSpec, scale_vectors
 from sndjax.rollout import (
-    gather_transitions,
-    make_frame_stacker,
-    slice_transitions,
     stack_to_channels,
     zero_reset_rows,
 )
 from sndjax.scaling import scale_reward
 from sndjax.statistics import (
-    broadcast_mask,
     init_return_statistics,
     init_running_statistics,
     update_running_statistics,
 )
-from sndjax.types import Experience, Metrics, Params, State, TrainState
-
-ShardRows = Callable[[Any], Any]
-
-
-def identity(rows: Any) -> Any:
-    """Return the rows of a minibatch as they are: all on one device."""
-    return rows
+from sndjax.types import Experience, Metrics, TrainState
+from sndjax.updates import ShardRows, identity, update_intrinsic_module, update_policy
+from sndjax.vmap_hint import hint_under_vmap
 
 
 def init_train_state(
@@ -68,132 +56,6 @@ def init_train_state(
     )
 
 
-def update_policy(
-    agent: AgentSpec,
-    state: TrainState,
-    batch: Experience,
-    advantage: Float[Array, "T N"],
-    target: Float[Array, "T N K"],
-    key: PRNGKeyArray,
-    shard_rows: ShardRows = identity,
-) -> tuple[TrainState, Metrics]:
-    """Run the PPO epochs: one permutation of the rollout, gone through `epochs` times.
-
-    Args:
-      agent: what learns.
-      state: before.
-      batch: the rollout.
-      advantage: of both reward streams together.
-      target: of every value head.
-      key: of the permutation.
-      shard_rows: see `make_train_step`.
-
-    Returns:
-      The state with a new policy, and the means of its metrics over minibatches.
-    """
-    hyper, rollout = agent.ppo, batch.rollout
-    stacks = make_frame_stacker(batch, agent.stack)
-    optimizer, _ = agent.optimizers()
-    rows = advantage.size
-    index = jax.random.permutation(key, rows).reshape(-1, hyper.minibatch_size)
-    flat = lambda x: x.reshape(rows, *x.shape[2:])
-    columns = [flat(x) for x in (rollout.action, batch.log_prob, advantage, target, rollout.valid)]
-    valid = columns[-1]
-
-    def loss(
-        params: Params,
-        stacked: Array,
-        action: Array,
-        log_prob: Array,
-        advantage: Array,
-        target: Array,
-        valid: Array,
-    ) -> tuple[Array, Metrics]:
-        logits, value = forward(agent.network, params, stacked)
-        return ppo.loss(logits, value, action, log_prob, advantage, target, valid, hyper)
-
-    def minibatch(
-        carry: tuple[Params, optax.OptState], index: Int[Array, " B"]
-    ) -> tuple[tuple[Params, optax.OptState], Metrics]:
-        params, optimizer_state = carry
-        seen = stacks(index)
-        seen = jnp.where(broadcast_mask(valid[index], seen), seen, jnp.zeros_like(seen))
-        rows = shard_rows((seen, *(c[index] for c in columns)))
-        (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(params, *rows)
-        updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
-        metrics |= {"ppo_loss": total, "grad_norm": optax.tree.norm(gradient)}
-        return (optax.apply_updates(params, updates), optimizer_state), metrics
-
-    (policy, optimizer_state), metrics = lax.scan(
-        minibatch, (state.policy, state.policy_optimizer), jnp.tile(index, (hyper.epochs, 1))
-    )
-    return state._replace(policy=policy, policy_optimizer=optimizer_state), mean_metrics(metrics)
-
-
-def update_intrinsic_module(
-    agent: AgentSpec,
-    state: TrainState,
-    batch: Experience,
-    key: PRNGKeyArray,
-    shard_rows: ShardRows = identity,
-) -> tuple[TrainState, Metrics]:
-    """Train the intrinsic module on one pass over the rollout.
-
-    Args:
-      agent: what learns.
-      state: before.
-      batch: the rollout.
-      key: of the order of rows and of the module's draws.
-      shard_rows: see `make_train_step`.
-
-    Returns:
-      The state with a new module, and the means of its metrics over minibatches.
-    """
-    intrinsic, rollout = agent.intrinsic, batch.rollout
-    if intrinsic is None or not jax.tree.leaves(state.intrinsic):
-        return state, {}  # nothing is trained
-    module = intrinsic.module
-    _, optimizer = agent.optimizers()
-    key_order, key_loss = jax.random.split(key)
-    rows = jnp.arange(rollout.action.size)
-    if intrinsic.shuffle:
-        rows = jax.random.permutation(key_order, rows)
-    index = rows.reshape(-1, intrinsic.minibatch_size)
-    # In order, s_t+1 of most rows is s_t of others; in less than a step of rows, of none.
-    apart = intrinsic.shuffle or intrinsic.minibatch_size < rollout.action.shape[1]
-
-    def minibatch(
-        carry: tuple[Params, optax.OptState, State], inputs: tuple[Array, PRNGKeyArray]
-    ) -> tuple[tuple[Params, optax.OptState, State], Metrics]:
-        params, optimizer_state, module_state = carry
-        index, key = inputs
-        batch = (
-            gather_transitions(rollout, index)
-            if apart
-            else slice_transitions(rollout, index[0], intrinsic.minibatch_size)
-        )
-        (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
-            params, module_state, shard_rows(batch), rollout, key
-        )
-        updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
-        params = optax.apply_updates(params, updates)
-        metrics |= {"module_loss": total, "module_grad_norm": optax.tree.norm(gradient)}
-        return (params, optimizer_state, module.update(params, module_state)), metrics
-
-    start = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
-    keys = jax.random.split(key_loss, index.shape[0])
-    (params, optimizer_state, module_state), metrics = lax.scan(minibatch, start, (index, keys))
-    state = state._replace(
-        intrinsic=params, intrinsic_optimizer=optimizer_state, intrinsic_state=module_state
-    )
-    return state, mean_metrics(metrics)
-
-
-def mean_metrics(metrics: dict[str, Array]) -> Metrics:
-    """Average every metric over minibatches."""
-    return {name: jnp.mean(value) for name, value in metrics.items()}
-
-
 def compute_intrinsic_rewards(
     agent: AgentSpec, state: TrainState, batch: Experience, key: PRNGKeyArray
 ) -> tuple[TrainState, Float[Array, "T N"], Metrics]:
@@ -211,7 +73,7 @@ def compute_intrinsic_rewards(
     intrinsic, rollout = agent.intrinsic, batch.rollout
     valid = rollout.valid
     if intrinsic is None:
-        reward = clipped = signal = jnp.zeros(valid.shape)
+        reward = clipped = signal = jnp.zeros(valid.shape, jnp.float32)
     else:
         signal, module_state = intrinsic.module.reward(
             state.intrinsic, state.intrinsic_state, rollout, key
@@ -289,6 +151,7 @@ def make_train_step(
         if any(agent.unbounded):
             moments = update_running_statistics(state.observations, raw[:-1], valid)
             state = state._replace(observations=moments)
-        return state._replace(key=key, iteration=state.iteration + 1), metrics, int_reward
+        iteration = hint_under_vmap(state.iteration) + 1
+        return state._replace(key=key, iteration=iteration), metrics, int_reward
 
     return train_step

@@ -17,8 +17,8 @@ Connect Convert Copy Count Create Cut Describe Divide Do Draw Encode End Estimat
 Find Flush Format Fsync Gather Give Group Handle Ignore Join Keep Label Let Load Lock Log
 Look Make Mark Measure Merge Open Parse Play Prepare Print Push Put Quote Raise Read Record
 Register Release Remove Replace Resample Reset Reshape Restore Return Run Save Search See
-Send Set Show Slice Smooth Split Start Step Stop Store Study Sum Take Tell Time Train Turn
-Update Wait Walk Wrap Write Yield
+Send Set Show Slice Smooth Split Start Step Stop Store Study Subtract Sum Take Tell Time Train Turn
+Update Wait Walk Warn Wrap Write Yield
 """
 MODULE_LINES, FUNCTION_LINES = 300, 60
 

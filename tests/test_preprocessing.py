@@ -1,7 +1,9 @@
 import jax.numpy as jnp
 import numpy as np
 
+from sndjax.convolution import to_float
 from sndjax.preprocessing import make_preprocess
+from sndjax.statistics import init_running_statistics, update_running_statistics
 from sndjax.types import RunningStatistics
 
 
@@ -17,3 +19,14 @@ def test_make_preprocess_none_mean_standardize_equal_numpy():
     wanted = np.clip((samples - samples.mean(0)) / samples.std(0), -1, 1)
     np.testing.assert_allclose(standard, wanted, atol=1e-5)
     assert np.abs(wanted).max() == 1
+
+
+def test_make_preprocess_standardize_gray_levels_that_never_change_are_zero():
+    """Of 256 constant pixels, one of each level, none may be read as a deviation."""
+    levels = jnp.arange(256, dtype=jnp.uint8).reshape(1, 1, 16, 16, 1)
+    moments = init_running_statistics((16, 16, 1))
+    for _ in range(10):
+        frames = jnp.broadcast_to(levels, (4, 100, 16, 16, 1))
+        moments = update_running_statistics(moments, frames, jnp.ones((4, 100), bool), to_float)
+    read = make_preprocess("standardize", moments)(levels[0])
+    np.testing.assert_allclose(read, 0, atol=1e-6)

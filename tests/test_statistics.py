@@ -1,6 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -92,3 +93,32 @@ def test_update_return_statistics_two_rollouts_equals_brute_force():
                     seen.append(sums[n])
     np.testing.assert_allclose(scale.discounted, sums, rtol=1e-5)
     np.testing.assert_allclose(std(scale.moments), np.std(seen), rtol=1e-5)
+
+
+@pytest.mark.parametrize("envs", [3, 128, 5000])
+def test_std_constant_components_have_none(envs):
+    """Only rounding separates the samples of a constant; its deviation counts as 1."""
+    constants = np.array([9.81, 0.1, 1e5 + 0.3, 1 / 3, -200.7, 0.0], np.float32)
+    moments = init_running_statistics((6,))
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        x = np.broadcast_to(constants, (8, envs, 6))
+        valid = rng.random((8, envs)) < 0.7
+        moments = jitted_update(moments, jnp.asarray(x), jnp.asarray(valid))
+    np.testing.assert_array_equal(std(moments), 1)
+    np.testing.assert_allclose(moments.mean, constants, rtol=3e-7)
+
+
+def test_std_rounding_of_an_environment_counts_as_none_and_small_spread_does_not():
+    """A constant that its environment computes wobbles by a rounding or two."""
+    rng = np.random.default_rng(0)
+    steps = rng.integers(-2, 3, (50, 64))
+    wobbling = np.float32(9.81) + steps * np.spacing(np.float32(9.81))
+    spread = 9.81 + 1e-4 * rng.normal(size=(50, 64))  # a hundred roundings
+    small = 1e-9 * rng.normal(size=(50, 64))  # around zero there is no rounding to compare with
+    x = np.stack([wobbling, spread, small], -1).astype(np.float32)
+    moments = jitted_update(init_running_statistics((3,)), jnp.asarray(x), jnp.ones((50, 64), bool))
+    wanted = x.astype(np.float64).std((0, 1))
+    got = np.asarray(std(moments))
+    assert got[0] == 1
+    np.testing.assert_allclose(got[1:], wanted[1:], rtol=0.01)

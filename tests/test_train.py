@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import sndjax
 from experiments.training.agents import init_states, map_over_seeds
 from sndjax import ppo
-from sndjax.train import update_intrinsic_module
+from sndjax.updates import update_intrinsic_module
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -82,6 +82,23 @@ def test_train_step_garbage_in_reset_rows_changes_no_parameter_and_no_metric(nam
         equal(step(state, batch), step(state, dirty))
 
     check()
+
+
+@pytest.mark.parametrize("name", ["ppo", "snd_v", "snd_byol", "icm"])
+def test_train_step_rollout_of_reset_rows_alone_moves_no_weight(name):
+    """After a first update Adam has momentum, which would move weights without any gradient."""
+    kind = KINDS[2]
+    _, state, step = made(name, kind)
+    state, *_ = step(state, batch_for(kind, heads=heads(name)))
+    batch = batch_for(kind, 1, heads(name))
+    nothing = batch.rollout._replace(valid=jnp.zeros_like(batch.rollout.valid))
+    after, metrics, _ = step(state, batch._replace(rollout=nothing))
+    for part in ("policy", "policy_optimizer", "intrinsic", "intrinsic_optimizer"):
+        equal(getattr(state, part), getattr(after, part))
+    equal(
+        getattr(state.intrinsic_state, "slow", None), getattr(after.intrinsic_state, "slow", None)
+    )
+    assert np.isfinite(list(metrics.values())).all()
 
 
 def test_train_step_frame_between_two_reset_rows_is_never_read():

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sndjax
-from sndjax.train import update_intrinsic_module
+from sndjax.updates import update_intrinsic_module
 
 from ..config.schema import Config
 from ..system.errors import ConfigError

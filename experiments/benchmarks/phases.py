@@ -14,11 +14,8 @@ from jax.experimental.compilation_cache import compilation_cache
 import sndjax
 from sndjax.ppo import compute_advantages
 from sndjax.rollout import zero_reset_rows
-from sndjax.train import (
-    compute_intrinsic_rewards,
-    update_intrinsic_module,
-    update_policy,
-)
+from sndjax.train import compute_intrinsic_rewards
+from sndjax.updates import update_intrinsic_module, update_policy
 
 from ..config.library import has_action_input
 from ..config.schema import Config

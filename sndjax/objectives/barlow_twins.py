@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.protocols import Encode, Objective
-from sndjax.statistics import broadcast_mask, masked_mean, masked_sum, valid_count
+from sndjax.statistics import mask_rows, masked_mean, masked_sum, valid_count
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 
@@ -40,8 +40,8 @@ def barlow_twins_loss(
     count = valid_count(valid, z.dtype)
 
     def normalise(z: Float[Array, "B d"]) -> Float[Array, "B d"]:
-        centred = z - masked_mean(z, valid)[None]
-        centred = jnp.where(broadcast_mask(valid, z), centred, jnp.zeros_like(z))
+        z = mask_rows(z, valid)
+        centred = mask_rows(z - masked_mean(z, valid)[None], valid)
         return centred / jnp.sqrt(masked_sum(centred**2, valid) / count + 1e-5)[None]
 
     correlation = normalise(z).T @ normalise(z_next) / count

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.networks import MLP
 from sndjax.protocols import Encode, Objective, TargetNetwork
-from sndjax.statistics import masked_mean, safe_sqrt
+from sndjax.statistics import mask_rows, masked_mean, safe_sqrt
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 
@@ -44,6 +44,7 @@ def byol_distance(
         length = safe_sqrt(jnp.sum(x**2, axis=-1, keepdims=True))
         return x / jnp.where(length > 0, length, jnp.ones_like(length))
 
+    predicted, projected = mask_rows(predicted, valid), mask_rows(projected, valid)
     distance = jnp.sum((unit(predicted) - lax.stop_gradient(unit(projected))) ** 2, axis=-1)
     return masked_mean(distance, valid)
 

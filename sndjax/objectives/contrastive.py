@@ -99,7 +99,8 @@ def augment(key: PRNGKeyArray, x: Float[Array, "P *frame"]) -> Float[Array, "P *
 def contrastive() -> Objective:
     """Make the objective of SND-V: B/8 pairs of the whole rollout, drawn for each minibatch.
 
-    It reads neither the minibatch nor any s_t+1. See `contrastive_loss`.
+    It reads neither the minibatch nor any s_t+1. See `contrastive_loss`. Without any valid row in
+    the rollout the loss is 0.
 
     >>> contrastive().needs_pairs
     False
@@ -122,6 +123,7 @@ def contrastive() -> Objective:
         frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
         za, _ = encode(augment(key_one, to_float(frames[one])))
         zb, _ = encode(augment(key_other, to_float(frames[other])))
-        return contrastive_loss(za, zb, far)
+        total, terms = contrastive_loss(za, zb, far)
+        return jnp.where(jnp.any(rollout.valid), total, jnp.zeros_like(total)), terms
 
     return Objective(init, loss, needs_pairs=False, name="contrastive")

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.networks import MLP, mlp_widths
 from sndjax.protocols import Encode, Objective
-from sndjax.statistics import masked_mean
+from sndjax.statistics import mask_rows, masked_mean
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 
@@ -35,6 +35,7 @@ def inverse_dynamics_loss(
     Array(1.3863, dtype=float32)
     """
     chex.assert_rank([logits, action, valid], [2, 1, 1])
+    logits, action = mask_rows(logits, valid), mask_rows(action, valid)
     log_p = jnp.take_along_axis(jax.nn.log_softmax(logits), action[:, None], axis=-1)[:, 0]
     right = (jnp.argmax(logits, axis=-1) == action).astype(logits.dtype)
     loss = masked_mean(-log_p, valid)

@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.protocols import Encode, Objective
-from sndjax.statistics import masked_mean, safe_sqrt, valid_count
+from sndjax.statistics import mask_rows, masked_mean, safe_sqrt, valid_count
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 SLICE = 12  # positions whose [B, B] logits exist at once
@@ -39,6 +39,7 @@ def contrast(
     >>> contrast(jnp.zeros((8, 1, 4)), jnp.ones((8, 1, 4)), jnp.ones(8, bool))[0].round(4)
     Array(2.0794, dtype=float32)
     """
+    local, candidate = mask_rows(local, valid), mask_rows(candidate, valid)
     positions = local.shape[1]
     pairs = valid[:, None] & valid[None, :]
     shared = candidate.shape[1] == 1
@@ -82,6 +83,7 @@ def feature_std_over_dims(z: Float[Array, "B d"], valid: Bool[Array, " B"]) -> F
     >>> feature_std_over_dims(jnp.array([[1.0, -1.0]]), jnp.array([True])).round(4)
     Array(1.4142, dtype=float32)
     """
+    z = mask_rows(z, valid)
     centred = z - jnp.mean(z, axis=-1, keepdims=True)
     variance = jnp.sum(centred**2, axis=-1) / max(z.shape[-1] - 1, 1)
     return masked_mean(safe_sqrt(variance), valid)
@@ -139,7 +141,7 @@ def fan_in_uniform(key: PRNGKeyArray, shape: tuple[int, ...], fan_in: int) -> Ar
       fan_in: inputs of the layer.
     """
     bound = 1 / math.sqrt(fan_in)
-    return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
+    return jax.random.uniform(key, shape, jnp.float32, minval=-bound, maxval=bound)
 
 
 class Projection(nn.Module):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.protocols import Encode, Objective
-from sndjax.statistics import broadcast_mask, masked_mean, masked_sum, valid_count
+from sndjax.statistics import mask_rows, masked_mean, masked_sum, valid_count
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 
@@ -43,6 +43,7 @@ def vicreg_loss(
     Array(0., dtype=float32)
     """
     chex.assert_equal_shape([z, z_next])
+    z, z_next = mask_rows(z, valid), mask_rows(z_next, valid)
     width = z.shape[1]
     degrees = jnp.maximum(valid_count(valid, z.dtype) - 1, 1)
     similarity = masked_mean(jnp.mean((z - z_next) ** 2, axis=-1), valid)
@@ -50,8 +51,7 @@ def vicreg_loss(
     def variance_and_covariance(
         z: Float[Array, "B d"],
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        centred = z - masked_mean(z, valid)[None]
-        centred = jnp.where(broadcast_mask(valid, z), centred, jnp.zeros_like(z))
+        centred = mask_rows(z - masked_mean(z, valid)[None], valid)
         std = jnp.sqrt(masked_sum(centred**2, valid) / degrees + 1e-4)
         matrix = centred.T @ centred / degrees
         off_diagonal = jnp.where(jnp.eye(width, dtype=bool), 0.0, matrix)

@@ -1,0 +1,106 @@
+"""Checks of what a caller passes in, with errors that say what was given and what is wanted.
+
+Shapes are checked always; values only where they are known, outside of `jax.jit`.
+"""
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Int, Shaped
+
+from sndjax.types import Rollout
+
+CHANNELS = 12  # more than so many channels a stack of frames does not have
+
+
+def check_rollout(rollout: Rollout, num_actions: int | None = None) -> None:
+    """Check that the arrays of a rollout belong together.
+
+    Shapes are always checked; values only where they are known, outside of `jax.jit`.
+
+    Args:
+      rollout: T steps of N environments.
+      num_actions: A; None: actions are not checked.
+
+    Raises:
+      ValueError: a shape is another than the fields of `Rollout` say, or an action is not below A.
+    """
+    rows = rollout.valid.shape
+    if len(rows) != 2:
+        raise ValueError(f"rollout.valid has shape {rows}; it must be [T, N]")
+    for name in ("action", "first", "done"):
+        shape = getattr(rollout, name).shape
+        if shape != rows:
+            raise ValueError(f"rollout.{name} has shape {shape}; rollout.valid has {rows}")
+    wanted = (rows[0] + 1, rows[1])
+    if rollout.frames.shape[:2] != wanted:
+        raise ValueError(
+            f"rollout.frames has shape {rollout.frames.shape}; for T = {rows[0]} steps of N = "
+            f"{rows[1]} environments it must be [T + 1, N, ...], one frame more than steps"
+        )
+    if num_actions is not None:
+        check_actions(rollout.action, rollout.valid, num_actions)
+
+
+def check_actions(
+    action: Int[Array, "*rows"], valid: Bool[Array, "*rows"], num_actions: int
+) -> None:
+    """Check that the actions of the valid rows are below A, where their values are known.
+
+    Args:
+      action: the actions.
+      valid: the rows that count.
+      num_actions: A.
+
+    Raises:
+      ValueError: an action is negative, or not below A.
+    """
+    if not isinstance(action, jax.core.Tracer) and not isinstance(valid, jax.core.Tracer):
+        check_below("action", np.asarray(action)[np.asarray(valid)], num_actions)
+
+
+def check_rows(index: Int[Array, " B"], rows: int) -> None:
+    """Check that the row numbers of a minibatch are below T * N, where their values are known.
+
+    Args:
+      index: the row numbers.
+      rows: T * N.
+
+    Raises:
+      ValueError: a row does not exist.
+    """
+    if not isinstance(index, jax.core.Tracer):
+        check_below("row", np.asarray(index), rows)
+
+
+def check_below(what: str, numbers: np.ndarray, limit: int) -> None:
+    """Check that numbers are 0 or more and below a limit.
+
+    Args:
+      what: the kind of thing that is numbered.
+      numbers: an array of integers.
+      limit: the number of things.
+
+    Raises:
+      ValueError: a number is outside; the message names the first.
+    """
+    wrong = numbers[(numbers < 0) | (numbers >= limit)]
+    if wrong.size:
+        raise ValueError(f"{what} {wrong[0]} does not exist: there are {limit}, 0 to {limit - 1}")
+
+
+def check_images(frames: Shaped[Array, "B *frame"]) -> None:
+    """Check that a batch of frames can be the input of convolutions: [B, H, W, C].
+
+    Args:
+      frames: the batch.
+
+    Raises:
+      ValueError: frames are vectors, or their channels come first.
+    """
+    shape = frames.shape[1:]
+    if len(shape) != 3:
+        raise ValueError(
+            f"frames of shape {shape} are no images [H, W, C]; for vectors take size=sndjax.VECTOR"
+        )
+    if shape[0] <= CHANNELS and shape[0] < min(shape[1:]):
+        raise ValueError(f"frames of shape {shape} have their channels first; they must be last")

@@ -1,0 +1,164 @@
+"""The two halves of an iteration's learning: the PPO epochs, the intrinsic module's pass."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from sndjax import ppo
+from sndjax.acting import AgentSpec, forward
+from sndjax.rollout import gather_transitions, make_frame_stacker, slice_transitions
+from sndjax.statistics import mask_rows
+from sndjax.types import Experience, Metrics, Params, State, TrainState
+
+ShardRows = Callable[[Any], Any]
+
+
+def identity(rows: Any) -> Any:
+    """Return the rows of a minibatch as they are: all on one device."""
+    return rows
+
+
+def update_policy(
+    agent: AgentSpec,
+    state: TrainState,
+    batch: Experience,
+    advantage: Float[Array, "T N"],
+    target: Float[Array, "T N K"],
+    key: PRNGKeyArray,
+    shard_rows: ShardRows = identity,
+) -> tuple[TrainState, Metrics]:
+    """Run the PPO epochs: one permutation of the rollout, gone through `epochs` times.
+
+    Args:
+      agent: what learns.
+      state: before.
+      batch: the rollout.
+      advantage: of both reward streams together.
+      target: of every value head.
+      key: of the permutation.
+      shard_rows: see `make_train_step`.
+
+    Returns:
+      The state with a new policy, and the means of its metrics over minibatches.
+    """
+    hyper, rollout = agent.ppo, batch.rollout
+    stacks = make_frame_stacker(batch, agent.stack)
+    optimizer, _ = agent.optimizers()
+    rows = advantage.size
+    index = jax.random.permutation(key, rows).reshape(-1, hyper.minibatch_size)
+    flat = lambda x: x.reshape(rows, *x.shape[2:])
+    columns = [flat(x) for x in (rollout.action, batch.log_prob, advantage, target, rollout.valid)]
+    valid = columns[-1]
+
+    def loss(
+        params: Params,
+        stacked: Array,
+        action: Array,
+        log_prob: Array,
+        advantage: Array,
+        target: Array,
+        valid: Array,
+    ) -> tuple[Array, Metrics]:
+        logits, value = forward(agent.network, params, stacked)
+        return ppo.loss(logits, value, action, log_prob, advantage, target, valid, hyper)
+
+    def minibatch(
+        carry: tuple[Params, optax.OptState], index: Int[Array, " B"]
+    ) -> tuple[tuple[Params, optax.OptState], Metrics]:
+        params, optimizer_state = carry
+        seen = mask_rows(stacks(index), valid[index])
+        rows = shard_rows((seen, *(c[index] for c in columns)))
+        (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(params, *rows)
+        updates, moved = optimizer.update(gradient, optimizer_state, params)
+        metrics |= {"ppo_loss": total, "grad_norm": optax.tree.norm(gradient)}
+        new = (optax.apply_updates(params, updates), moved)
+        return keep_without_rows(new, carry, valid[index]), metrics
+
+    (policy, optimizer_state), metrics = lax.scan(
+        minibatch, (state.policy, state.policy_optimizer), jnp.tile(index, (hyper.epochs, 1))
+    )
+    return state._replace(policy=policy, policy_optimizer=optimizer_state), mean_metrics(metrics)
+
+
+def update_intrinsic_module(
+    agent: AgentSpec,
+    state: TrainState,
+    batch: Experience,
+    key: PRNGKeyArray,
+    shard_rows: ShardRows = identity,
+) -> tuple[TrainState, Metrics]:
+    """Train the intrinsic module on one pass over the rollout.
+
+    Args:
+      agent: what learns.
+      state: before.
+      batch: the rollout.
+      key: of the order of rows and of the module's draws.
+      shard_rows: see `make_train_step`.
+
+    Returns:
+      The state with a new module, and the means of its metrics over minibatches.
+    """
+    intrinsic, rollout = agent.intrinsic, batch.rollout
+    if intrinsic is None or not jax.tree.leaves(state.intrinsic):
+        return state, {}  # nothing is trained
+    module = intrinsic.module
+    _, optimizer = agent.optimizers()
+    key_order, key_loss = jax.random.split(key)
+    rows = jnp.arange(rollout.action.size)
+    if intrinsic.shuffle:
+        rows = jax.random.permutation(key_order, rows)
+    index = rows.reshape(-1, intrinsic.minibatch_size)
+    # In order, s_t+1 of most rows is s_t of others; in less than a step of rows, of none.
+    apart = intrinsic.shuffle or intrinsic.minibatch_size < rollout.action.shape[1]
+
+    def minibatch(
+        carry: tuple[Params, optax.OptState, State], inputs: tuple[Array, PRNGKeyArray]
+    ) -> tuple[tuple[Params, optax.OptState, State], Metrics]:
+        params, optimizer_state, module_state = carry
+        index, key = inputs
+        batch = (
+            gather_transitions(rollout, index)
+            if apart
+            else slice_transitions(rollout, index[0], intrinsic.minibatch_size)
+        )
+        (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
+            params, module_state, shard_rows(batch), rollout, key
+        )
+        updates, moved = optimizer.update(gradient, optimizer_state, params)
+        params = optax.apply_updates(params, updates)
+        metrics |= {"module_loss": total, "module_grad_norm": optax.tree.norm(gradient)}
+        new = (params, moved, module.update(params, module_state))
+        return keep_without_rows(new, carry, batch.valid), metrics
+
+    start = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
+    keys = jax.random.split(key_loss, index.shape[0])
+    (params, optimizer_state, module_state), metrics = lax.scan(minibatch, start, (index, keys))
+    state = state._replace(
+        intrinsic=params, intrinsic_optimizer=optimizer_state, intrinsic_state=module_state
+    )
+    return state, mean_metrics(metrics)
+
+
+def keep_without_rows(new: Any, old: Any, valid: Bool[Array, " B"]) -> Any:
+    """Return what a minibatch moved, or what was before if none of its rows is valid.
+
+    Its gradient is zero then, but Adam would still move the weights, by its momentum.
+
+    Args:
+      new: the pytree after the minibatch.
+      old: the pytree before it.
+      valid: the rows that count.
+    """
+    some = jnp.any(valid)
+    return jax.tree.map(lambda new, old: jnp.where(some, new, old), new, old)
+
+
+def mean_metrics(metrics: dict[str, Array]) -> Metrics:
+    """Average every metric over minibatches."""
+    return {name: jnp.mean(value) for name, value in metrics.items()}
