@@ -5,6 +5,7 @@ refused at once.
 """
 
 import os
+import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -15,7 +16,7 @@ from .config.saved import CONFIG
 from .config.schema import Config
 from .config.tool_options import asks_for_help
 from .storage.run_directory import FollowerDirectory, RunDirectory
-from .system.errors import ConfigError, print_error
+from .system.errors import ConfigError, NonFiniteError, TaskError, print_error
 from .system.interrupts import Interrupted, Interrupts
 from .system.jax_settings import jax_problem
 from .system.process import configure_xla, run_script
@@ -28,11 +29,19 @@ def resume_hint(directory: RunDirectory | FollowerDirectory | None, config: Conf
     return f"; to resume: {resume_command(directory.shared, config)}"
 
 
+def left_behind(directory: RunDirectory | FollowerDirectory | None, config: Config | None) -> str:
+    """Return a hint how to resume a run that an error stopped; remove a run that never began."""
+    if directory is not None:
+        directory.discard()
+    return resume_hint(directory, config)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Train the run or the sweep of a command line, and return the exit status.
 
-    The status is 0 for done; 1 for a run that a full disk or a number that is not finite stopped;
-    2 for bad input; 130 and 143 for a run that SIGINT and SIGTERM stopped.
+    The status is 0 for done; 1 for a run that a full disk, a number that is not finite, the
+    environment or another error stopped; 2 for bad input; 130 and 143 for a run that SIGINT and
+    SIGTERM stopped.
     """
     if asks_for_help(arguments) or list(arguments[:1]) == ["help"]:
         print(run_help())
@@ -96,19 +105,20 @@ def train(arguments: list[str], interrupts: Interrupts) -> int:
         if directory is not None:
             directory.discard()
         return print_error(error)
-    except FloatingPointError as error:  # the message says how to find the cause
+    except NonFiniteError as error:  # the message says how to find the cause
         return print_error(error, 1)
+    except TaskError as error:
+        return print_error(f"{error}{left_behind(directory, config)}", 1)
     except OSError as error:
         return print_error(f"cannot write the run: {error}{resume_hint(directory, config)}", 1)
     except Interrupted as stopped:
         return print_error(f"interrupted{resume_hint(directory, config)}", stopped.status)
-    except (AssertionError, RuntimeError, ValueError) as error:
-        problem = jax_problem(error)
-        if problem is None:
-            raise
-        if directory is not None:
-            directory.discard()
-        return print_error(problem)
+    except (Exception, SystemExit) as error:
+        problem, hint = jax_problem(error), left_behind(directory, config)
+        if problem is not None:
+            return print_error(problem)
+        traceback.print_exc()  # of ours, or of a module of the user's own
+        return print_error(f"stopped by {type(error).__name__}: {error}{hint}", 1)
     finally:
         if directory is not None:
             directory.close()

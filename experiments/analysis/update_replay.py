@@ -16,8 +16,8 @@ from ..config.schema import Config
 from ..storage.array_trees import CheckpointError, read_manifest, read_tree
 from ..storage.checkpoints import unwrapped_shapes
 from ..system.errors import ConfigError
-from ..training.diagnostics import nonfinite_terms
 from ..training.experiment import Experiment, build_experiment
+from ..training.nonfinite import nonfinite_terms
 from ..training.rollouts import experience_spec
 
 

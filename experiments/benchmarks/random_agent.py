@@ -48,7 +48,7 @@ def play_random(config: Config, keep: float) -> tuple[np.ndarray, np.ndarray, in
             length += step.valid[0]
             if first is None and (step.reward > 0).any():
                 first = taken
-            over = step.done[0]
+            over = step.game_over[0]
             returns += total[over].tolist()
             lengths += length[over].tolist()
             total[over], length[over] = 0, 0

@@ -61,6 +61,15 @@ class EnvConfig:
     total_steps: int = option(1_000_000, "the default of total_steps", low=1)
     baseline_gamma: float = option(0.99, "external discount of algo=ppo", low=0, high=1)
     eta: dict[str, float] = option({}, "published intrinsic scale of each algorithm", low=0)
+    observation: str = option(
+        "auto",
+        "how observations are read: the run's first lines say how; image: its one image alone; "
+        "vector: all of it as one vector; cells: MiniGrid's view one-hot",
+        choices=("auto", "image", "vector", "cells"),
+    )
+    pixel_max: float | None = option(
+        None, "value of a white pixel, where the bounds of the observations do not say it", above=0
+    )
     options: dict[str, Any] = option(
         {}, "arguments of the library that makes the task, e.g. env.options.frame_skip=4"
     )

@@ -5,46 +5,117 @@ from typing import Any
 import numpy as np
 
 from ..config.envpool_tasks import gym
+from ..config.schema import EnvConfig
 from ..system.errors import ConfigError
+from .image_layout import LARGE, SMALL, ImageLayout, find_layout
 
 UNBOUNDED = 1e6  # a larger bound counts as no bound
+PIXEL_RANGES = (255.0, 1.0)  # largest values of images
+Path = tuple[str, ...]  # the keys that lead to a part of a Dict observation
 
 
-def leaf_spaces(space: Any, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+def leaf_spaces(space: Any, path: Path = ()) -> list[tuple[Path, Any]]:
     """Return the spaces inside a dict space that are not dicts, with their paths, by name."""
     if isinstance(space, gym.spaces.Dict):
         return [leaf for k in sorted(space.spaces) for leaf in leaf_spaces(space[k], (*path, k))]
     return [(path, space)]
 
 
+def leaf_value(observation: Any, path: Path) -> np.ndarray:
+    """Return the part of an observation that a path leads to."""
+    for key in path:
+        observation = observation[key]
+    return np.asarray(observation)
+
+
 class ImageReader:
-    """A reader of uint8 images, channels last."""
+    """A reader of images as uint8 pixels, channels last; stacked frames become channels.
+
+    Attributes:
+      shape: [H, W, C].
+      dtype: uint8.
+      unbounded: empty, as pixels have bounds.
+      description: how observations are read, for the user.
+      doubts: what the user should know about it, one line each.
+    """
 
     unbounded: tuple[bool, ...] = ()
 
-    def __init__(self, space: Any):
-        first = space.shape[0] < space.shape[-1]
-        self.order = (0, 2, 3, 1) if first else (0, 1, 2, 3)
-        self.shape = tuple(space.shape[axis - 1] for axis in self.order[1:])
-        self.dtype = np.uint8
+    def __init__(self, path: Path, space: Any, layout: ImageLayout, largest: float):
+        """Set the order of the axes.
 
-    def read(self, observation: np.ndarray) -> np.ndarray:
-        return observation.transpose(self.order)
+        Args:
+          path: the keys that lead to the image.
+          space: its space.
+          layout: the order of its axes.
+          largest: the value of a white pixel.
+        """
+        self.path, self.layout, self.largest = path, layout, largest
+        self.shape, self.dtype = layout.shape, np.uint8
+        where = f" '{'.'.join(path)}'" if path else ""
+        size = "x".join(map(str, self.shape))
+        self.description = (
+            f"image{where} {size}, {space.dtype} of 0 to {largest:g}, read as x / {largest:g}"
+            f"{'' if largest == 255 else ', in 256 levels'}"
+        )
+        self.doubts: list[str] = []
+        if layout.stacked > 1:
+            self.doubts.append(
+                f"{layout.stacked} stacked frames are read as {self.shape[-1]} channels, also by "
+                "the intrinsic module, which in the thesis sees one frame: take the task without "
+                f"its stack and env.stack={layout.stacked}"
+            )
+
+    def read(self, observation: Any) -> np.ndarray:
+        image = self.layout.apply(leaf_value(observation, self.path))
+        if image.dtype == np.uint8 and self.largest == 255:
+            return image
+        scaled = np.asarray(image, np.float32) * np.float32(255 / self.largest)
+        return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
 
 class VectorReader:
-    """A reader of all other spaces as one float32 vector; bounded parts scaled to [-1, 1]."""
+    """A reader of all parts as one float32 vector; bounded components are scaled to [-1, 1].
+
+    A component whose bounds are equal is constant, and becomes 0.
+
+    Attributes:
+      shape: [D].
+      dtype: float32.
+      unbounded: for each component, whether it has no bounds.
+      description: how observations are read, for the user.
+      doubts: what the user should know about it, one line each.
+    """
 
     def __init__(self, space: Any):
         self.leaves = leaf_spaces(space)
         low, high = zip(*(self.bounds(leaf) for _, leaf in self.leaves), strict=True)
+        self.sizes = [len(x) for x in low]
         low, high = np.concatenate(low), np.concatenate(high)
-        unbounded = (low < -UNBOUNDED) | (high > UNBOUNDED) | (low >= high)
+        unbounded = (low < -UNBOUNDED) | (high > UNBOUNDED) | (low > high)
         self.unbounded = tuple(bool(x) for x in unbounded)
         low, high = np.where(unbounded, -1, low), np.where(unbounded, 1, high)
         self.centre = ((low + high) / 2).astype(np.float32)
-        self.half = ((high - low) / 2).astype(np.float32)
+        self.half = np.where(high > low, (high - low) / 2, 1).astype(np.float32)
         self.shape, self.dtype = self.centre.shape, np.float32
+        free = int(unbounded.sum())
+        parts = [
+            f"{len(low) - free} scaled from their bounds to [-1, 1]" * (free < len(low)),
+            f"{free} without bounds divided by their running deviation" * (free > 0),
+        ]
+        self.description = f"vector of {len(low)}, {', '.join(filter(None, parts))}"
+        self.doubts = [
+            f"{'.'.join(path) or 'the observation'} has the shape of an image, {leaf.shape} "
+            f"{leaf.dtype}, but is read as {int(np.prod(leaf.shape))} numbers: for an image take "
+            f"env.observation=image{self.needed_range(leaf)}"
+            for path, leaf in self.leaves
+            if isinstance(leaf, gym.spaces.Box) and find_layout(leaf.shape, LARGE)
+        ]
+
+    @staticmethod
+    def needed_range(space: Any) -> str:
+        """Return the option that gives the largest value of an image whose bounds do not."""
+        return "" if pixel_range(space) else " env.pixel_max=255 (or 1)"
 
     @staticmethod
     def bounds(space: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -66,17 +137,21 @@ class VectorReader:
         return space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
 
     def read(self, observation: Any) -> np.ndarray:
-        parts = []
-        for path, space in self.leaves:
-            value = observation
-            for key in path:
-                value = value[key]
-            value = np.asarray(value)
+        values = [leaf_value(observation, path) for path, _ in self.leaves]
+        out = np.empty((len(values[0]), *self.shape), np.float32)
+        start = 0
+        for value, (_, space), size in zip(values, self.leaves, self.sizes, strict=True):
+            part = out[:, start : start + size]
             if isinstance(space, gym.spaces.Discrete):
+                part[:] = -1.0
                 index = value.reshape(len(value)) - int(space.start)
-                value = 2.0 * np.eye(int(space.n), dtype=np.float32)[index] - 1.0
-            parts.append(value.reshape(len(value), -1).astype(np.float32))
-        return (np.concatenate(parts, axis=1) - self.centre) / self.half
+                part[np.arange(len(value)), index] = 1.0
+            else:
+                part[:] = value.reshape(len(value), -1)
+            start += size
+        out -= self.centre
+        out /= self.half
+        return out
 
 
 class MiniGridReader:
@@ -88,6 +163,7 @@ class MiniGridReader:
 
     unbounded: tuple[bool, ...] = ()
     kinds = (11, 6, 4)  # numbers of objects, colours and states (of a door, or a direction)
+    doubts: tuple[str, ...] = ()
 
     @staticmethod
     def matches(space: Any, task: str) -> bool:
@@ -108,6 +184,9 @@ class MiniGridReader:
         self.directions = int(space["direction"].n)
         self.shape = (height * width * sum(self.kinds) + self.directions,)
         self.dtype = np.float32
+        self.description = (
+            f"cells {height}x{width} and the direction, one-hot, {self.shape[0]} numbers"
+        )
 
     def read(self, observation: Any) -> np.ndarray:
         image, direction = observation["image"], np.ravel(observation["direction"])
@@ -116,21 +195,72 @@ class MiniGridReader:
         return np.concatenate([view, np.eye(self.directions, dtype=np.float32)[direction]], axis=1)
 
 
-def make_reader(space: Any, task: str) -> ImageReader | VectorReader | MiniGridReader:
-    """Return the reader of a task's observations.
+Reader = ImageReader | VectorReader | MiniGridReader
+
+
+def pixel_range(space: Any) -> float | None:
+    """Return the largest value of an image, 255 or 1, from its bounds; None if they do not tell."""
+    if space.dtype == np.uint8:
+        return 255.0
+    for largest in PIXEL_RANGES:
+        if np.all(space.low == 0) and np.all(space.high == largest):
+            return largest
+    return None
+
+
+def make_image_reader(space: Any, config: EnvConfig) -> ImageReader:
+    """Return the reader of the one image of a space, for env.observation=image.
 
     Args:
       space: the observation space of one environment.
-      task: the name of the task.
+      config: the task, for `pixel_max`.
 
     Raises:
-      ConfigError: observations of this space cannot be read.
+      ConfigError: there is no image, more than one, or its range is not known.
     """
-    if (
-        isinstance(space, gym.spaces.Box)
-        and space.dtype == np.uint8
-        and len(space.shape) == 3
-        and sorted(space.shape)[1] >= 32
-    ):
-        return ImageReader(space)
-    return MiniGridReader(space) if MiniGridReader.matches(space, task) else VectorReader(space)
+    images = [
+        (path, leaf, layout)
+        for path, leaf in leaf_spaces(space)
+        if isinstance(leaf, gym.spaces.Box) and (layout := find_layout(leaf.shape, SMALL))
+    ]
+    if len(images) != 1:
+        raise ConfigError(
+            f"env.observation=image: the observations of {config.id} have {len(images) or 'no'} "
+            f"images of at least {SMALL}x{SMALL} pixels; take env.observation=vector"
+        )
+    ((path, leaf, layout),) = images
+    largest = config.pixel_max or pixel_range(leaf)
+    if largest is None:
+        raise ConfigError(
+            f"env.observation=image: the bounds of {config.id} do not say how bright white is; "
+            "give env.pixel_max=255 or env.pixel_max=1"
+        )
+    return ImageReader(path, leaf, layout, largest)
+
+
+def make_reader(space: Any, config: EnvConfig) -> Reader:
+    """Return the reader of a task's observations.
+
+    With env.observation=auto, a MiniGrid view is read as cells, one image whose values are 0 to 255
+    or 0 to 1 as an image, and everything else as a vector.
+
+    Args:
+      space: the observation space of one environment.
+      config: the task and how its observations are read.
+
+    Raises:
+      ConfigError: observations of this space cannot be read, or not in the way that is asked for.
+    """
+    how = config.observation
+    if how == "image":
+        return make_image_reader(space, config)
+    cells = MiniGridReader.matches(space, config.id)
+    if how == "cells" and not cells:
+        raise ConfigError(f"env.observation=cells: {config.id} has no view of MiniGrid's cells")
+    if cells and how != "vector":
+        return MiniGridReader(space)
+    if how == "auto" and isinstance(space, gym.spaces.Box):
+        layout, largest = find_layout(space.shape, LARGE), config.pixel_max or pixel_range(space)
+        if layout and largest:
+            return ImageReader((), space, layout, largest)
+    return VectorReader(space)

@@ -1,7 +1,8 @@
 """Pools of environments for all seeds of a run, with observations read as frames."""
 
 import sys
-from typing import Any, NamedTuple, cast
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -9,21 +10,9 @@ from ..config.envpool_tasks import envpool, family_of, gym
 from ..config.schema import EnvConfig
 from ..config.validation import unknown_name_error
 from ..system.errors import ConfigError
-from .observations import make_reader
+from .pool import EnvStep, Pool, task_errors
 
 MONTEZUMA_ROOM = 3  # index of the RAM byte that holds the room number
-
-
-class EnvStep(NamedTuple):
-    """The result of one step of every environment; all arrays are [S, N, ...]."""
-
-    frame: np.ndarray  # the newest observation; where done, the true last one of the episode
-    reward: np.ndarray  # float32, the training reward
-    score: np.ndarray  # float32, the reward of the game itself
-    done: np.ndarray
-    truncated: np.ndarray
-    valid: np.ndarray  # False where the environment was reset instead of stepped
-    room: np.ndarray | None  # uint8, in Montezuma's Revenge
 
 
 def env_seeds(seed: int, num_envs: int, start: int) -> list[int]:
@@ -40,107 +29,6 @@ def env_seeds(seed: int, num_envs: int, start: int) -> list[int]:
         int(np.random.SeedSequence([seed, env, start]).generate_state(1)[0] & 0x7FFFFFFF)
         for env in range(num_envs)
     ]
-
-
-class Pool:
-    """S x N environments of one task, stepped together.
-
-    A reset takes one separate step, in which the action is ignored: that row is not valid.
-
-    Attributes:
-      num_actions: the number of actions A.
-      shape: the shape of one frame, [H, W, C] or [D].
-      dtype: the dtype of one frame, uint8 for [H, W, C] or float32 for [D].
-      unbounded: for each component of a vector, whether it has no bounds.
-      rooms: whether steps contain the room of Montezuma's Revenge.
-    """
-
-    rooms = False
-
-    def __init__(self, config: EnvConfig, seeds: int, num_envs: int, space: Any, actions: Any):
-        """Set the sizes and the reader from the spaces of one environment.
-
-        Args:
-          config: the task and how it is read.
-          seeds: the number of seeds S.
-          num_envs: the number of environments N of each seed.
-          space: the observation space of one environment.
-          actions: the action space of one environment.
-
-        Raises:
-          ConfigError: the actions are not discrete, or the observations cannot be read.
-        """
-        if not isinstance(actions, gym.spaces.Discrete):
-            raise ConfigError(
-                f"env.id={config.id} has {type(actions).__name__} actions; "
-                "only tasks with discrete actions can be trained on"
-            )
-        self.config = config
-        self.rows = (seeds, num_envs)
-        self.reader = make_reader(space, config.id)
-        self.shape, self.dtype = self.reader.shape, self.reader.dtype
-        self.unbounded = self.reader.unbounded
-        self.num_actions = int(actions.n)
-
-    def split(self, x: np.ndarray) -> np.ndarray:
-        """Reshape an array from [S * N, ...] to [S, N, ...]."""
-        return x.reshape(*self.rows, *x.shape[1:])
-
-    def step_of(
-        self,
-        observation: Any,
-        reward: np.ndarray,
-        score: np.ndarray,
-        terminated: np.ndarray,
-        truncated: np.ndarray,
-        valid: np.ndarray,
-        room: np.ndarray | None = None,
-    ) -> EnvStep:
-        """Return the step, made from the results of all environments.
-
-        Args:
-          observation: the observations, arrays [S * N, ...], or a dict of them.
-          reward: the task's reward, from which the training reward is made, [S * N].
-          score: the reward of the game itself, [S * N].
-          terminated: whether the task ended the episode, bool [S * N].
-          truncated: whether a limit ended the episode, bool [S * N].
-          valid: False where the environment was reset instead of stepped, bool [S * N].
-          room: the room of Montezuma's Revenge, uint8 [S * N], or None.
-        """
-        if self.config.reward == "sign":
-            reward = np.maximum(0, np.sign(reward))
-        elif self.config.reward == "goal":
-            reward = terminated & ~truncated
-        return EnvStep(
-            self.split(self.reader.read(observation)),
-            self.split(np.asarray(reward, np.float32)),
-            self.split(np.asarray(score, np.float32)),
-            self.split(terminated | truncated),
-            self.split(truncated),
-            self.split(valid),
-            None if room is None else self.split(room),
-        )
-
-    def reset(self) -> np.ndarray:
-        """Reset every environment and return the first frames, [S, N, *frame]."""
-        raise NotImplementedError
-
-    def send(self, action: np.ndarray) -> None:
-        """Start a step of every environment with its action, int [S, N]."""
-        raise NotImplementedError
-
-    def receive(self) -> EnvStep:
-        """Wait for the end of the started step and return its result."""
-        raise NotImplementedError
-
-    def step(self, action: np.ndarray) -> EnvStep:
-        """Step every environment with its action, int [S, N]."""
-        self.send(action)
-        return self.receive()
-
-    def close(self) -> None:
-        """Stop the environments."""
-        raise NotImplementedError
 
 
 class EnvpoolPool(Pool):
@@ -164,21 +52,25 @@ class EnvpoolPool(Pool):
         self.rooms = config.id.startswith("MontezumaRevenge")
 
     def reset(self) -> np.ndarray:
-        observation, _ = self.envs.reset()
-        frame = self.reader.read(observation)
-        if len(frame) != self.rows[0] * self.rows[1]:
-            raise ConfigError(f"{self.config.id} has several players; only one can be trained")
-        return self.split(frame)
+        with task_errors(self.config.id):
+            observation, _ = self.envs.reset()
+        return self.first_frames(observation)
 
     def send(self, action: np.ndarray) -> None:
-        self.envs.send(np.asarray(action, np.int32).reshape(-1))
+        with task_errors(self.config.id):
+            self.envs.send(np.asarray(action, np.int32).reshape(-1))
 
     def receive(self) -> EnvStep:
-        observation, reward, terminated, truncated, info = self.envs.recv()
-        room = info["ram"][:, MONTEZUMA_ROOM] if self.rooms else None
-        score = cast(np.ndarray, info.get("reward", reward))
-        valid = info["elapsed_step"] != 0
-        return self.step_of(observation, reward, score, terminated, truncated, valid, room)
+        with task_errors(self.config.id):
+            observation, reward, terminated, truncated, info = self.envs.recv()
+            room = info["ram"][:, MONTEZUMA_ROOM] if self.rooms else None
+            score = cast(np.ndarray, info.get("reward", reward))
+            game_over = None
+            if "terminated" in info:  # Atari: the game itself is over, also at the step limit
+                over = np.asarray(info["terminated"], bool)
+                terminated = terminated | (truncated & over)
+                game_over = over | truncated
+            return self.step_of(observation, reward, score, terminated, truncated, game_over, room)
 
     def close(self) -> None:
         self.envs.close()
@@ -197,7 +89,7 @@ class GymnasiumPool(Pool):
             self.envs = gym.make_vec(config.id, num_envs=count, **options)
         except gym.error.NameNotFound:
             raise unknown_name_error("gymnasium task", config.id, gym.registry) from None
-        except Exception as error:  # a user's environment may raise anything
+        except (Exception, SystemExit) as error:  # a user's environment may raise anything
             message = str(error).strip().splitlines() or [repr(error)]
             raise ConfigError(f"gymnasium cannot make {config.id}: {message[0]}") from None
         mode = self.envs.metadata.get("autoreset_mode")
@@ -210,23 +102,34 @@ class GymnasiumPool(Pool):
         super().__init__(config, len(seeds), len(seeds[0]), space, actions)
         self.first_action = int(getattr(actions, "start", 0))
         self.seeds = [seed for own in seeds for seed in own]
-        self.ended = np.zeros(count, bool)
 
     def reset(self) -> np.ndarray:
-        observation, _ = self.envs.reset(seed=cast(Any, self.seeds))
-        self.ended[:] = False
-        return self.split(self.reader.read(observation))
+        with task_errors(self.config.id):
+            observation, _ = self.envs.reset(seed=cast(Any, self.seeds))
+        return self.first_frames(observation)
 
     def send(self, action: np.ndarray) -> None:
         self.action = np.asarray(action, np.int64).reshape(-1) + self.first_action
 
     def receive(self) -> EnvStep:
-        observation, reward, terminated, truncated, _ = self.envs.step(self.action)
-        valid, self.ended = ~self.ended, terminated | truncated
-        return self.step_of(observation, reward, reward, terminated, truncated, valid)
+        with task_errors(self.config.id):
+            observation, reward, terminated, truncated, _ = self.envs.step(self.action)
+            return self.step_of(observation, reward, reward, terminated, truncated)
 
     def close(self) -> None:
-        self.envs.close()
+        try:
+            self.envs.close()
+        except Exception:  # a process of env.options.vectorization_mode=async has died
+            for process in getattr(self.envs, "processes", ()):
+                process.terminate()
+                process.join(1)
+
+
+def whole_games(config: EnvConfig) -> EnvConfig:
+    """Return the task without `episodic_life`, for agents that play whole games."""
+    if not config.options.get("episodic_life"):
+        return config
+    return replace(config, options=config.options | {"episodic_life": False})
 
 
 def make_pools(

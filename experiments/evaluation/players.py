@@ -17,7 +17,7 @@ from sndjax.rollout import stack_to_channels
 from ..config.saved import CONFIG, check_code, read_saved
 from ..config.schema import Config
 from ..config.validation import validate_config
-from ..environments.pools import EnvpoolPool, env_seeds, make_pool
+from ..environments.pools import EnvpoolPool, env_seeds, make_pool, whole_games
 from ..storage.array_trees import CheckpointError
 from ..storage.checkpoints import Checkpoints
 from ..system.errors import ConfigError
@@ -96,6 +96,7 @@ def load_players(run: Path, trust: tuple[str, ...] = ()) -> list[Player]:
     config = validate_config(read_saved(run / CONFIG).config)
     named: dict[str, Any] = {"algo.module": config.algo.module, "env.id": config.env.id}
     check_code(config, {k: v for k, v in named.items() if v in trust}, str(run))
+    config = replace(config, env=whole_games(config.env))
     experiment = build_experiment(config, probe=True)
     iteration, states = find_state(run, experiment.state_shapes())
     own = lambda i: jax.tree.map(lambda x: jnp.asarray(x[i]), states)

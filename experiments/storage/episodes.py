@@ -39,7 +39,7 @@ class EpisodeTracker:
         self,
         start: int,
         valid: Any,
-        done: Any,
+        game_over: Any,
         rewards: tuple[Any, Any, Any],
         room: np.ndarray | None,
     ) -> list[list[Episode]]:
@@ -48,7 +48,8 @@ class EpisodeTracker:
         Args:
           start: the number of rows that each seed had collected before.
           valid: False at reset rows, bool [S, T, N].
-          done: whether the episode ended with the row, bool [S, T, N].
+          game_over: whether the game ended with the row, bool [S, T, N]. A game of several lives
+            is one episode here, also where each life is one for the agent.
           rewards: external, score and intrinsic, [S, T, N]; values at reset rows are ignored.
           room: the room of each row, uint8 [S, T, N], or None.
         """
@@ -61,7 +62,7 @@ class EpisodeTracker:
             if self.rooms is not None and room is not None:
                 s, n = np.nonzero(valid[:, t])
                 self.rooms[s, n, room[s, t, n]] = True
-            for s, n in zip(*np.nonzero(done[:, t] & valid[:, t]), strict=True):
+            for s, n in zip(*np.nonzero(game_over[:, t] & valid[:, t]), strict=True):
                 external, score, intrinsic = (float(x) for x in self.sums[:, s, n])
                 count = None if self.rooms is None else int(self.rooms[s, n].sum())
                 ended[s].append(

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -24,6 +25,25 @@ class Interrupted(Exception):
         self.status = 128 + number
 
 
+active: "Interrupts | None" = None  # the one whose handlers this process has
+
+
+def restore_signals_in_child() -> None:
+    """Give a forked process, such as a worker of an environment, no part in these handlers.
+
+    It gets the default handlers and a process group of its own, so that Ctrl-C in a terminal
+    reaches only this process, which stops its workers in order.
+    """
+    if active is not None:
+        for number in active.previous:
+            signal.signal(number, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        os.setpgid(0, 0)
+
+
+os.register_at_fork(after_in_child=restore_signals_in_child)
+
+
 class Interrupts:
     """A context manager that stores a signal until `check`, or interrupts the current wait.
 
@@ -40,6 +60,8 @@ class Interrupts:
         self.previous: dict[int, Any] = {}
 
     def __enter__(self) -> "Interrupts":
+        global active
+        active = self
         if threading.current_thread() is threading.main_thread():
             self.previous = {number: signal.signal(number, self.receive) for number in SIGNALS}
             self.previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, self.give_up)
@@ -47,6 +69,8 @@ class Interrupts:
         return self
 
     def __exit__(self, *_: object) -> None:
+        global active
+        active = None
         for number, handler in self.previous.items():
             signal.signal(number, handler)
         sys.unraisablehook = self.unraisable
@@ -72,6 +96,16 @@ class Interrupts:
         again, self.received = self.received is not None, number
         if self.grace is not None:
             self.alarm(0 if again else self.grace)
+
+    def wait_for_signal(self, patience: float = 0.5) -> bool:
+        """Return True if a signal was received, or is received within `patience` seconds.
+
+        For errors that a signal may have caused, by ending a worker process too.
+        """
+        deadline = time.monotonic() + patience
+        while self.received is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return self.received is not None
 
     def alarm(self, delay: float) -> None:
         """Start the timer that ends the wait after `delay` seconds."""

@@ -61,3 +61,38 @@ def platform_problem(platforms: str, error: BaseException) -> str:
         f"{PLATFORMS}={platforms}: jax cannot use this platform on this machine{because}; "
         f"unset {PLATFORMS}, or set {PLATFORMS}=cpu{install}"
     )
+
+
+def apply_debug_settings() -> list[str]:
+    """Turn off the checks of jax that would stop a run before its own, and return what to say.
+
+    The run itself checks every iteration (on_nan=stop), names the term, keeps a dump and stays
+    resumable; jax would end it in the middle of an iteration.
+
+    Returns:
+      One line for each variable that is set.
+    """
+    import jax
+
+    lines = []
+    for name in ("jax_debug_nans", "jax_debug_infs"):
+        if getattr(jax.config, name):
+            jax.config.update(name, False)
+            lines.append(
+                f"{name.upper()} is set, but not used while training: on_nan=stop checks every "
+                "iteration, and sndjax replay finds the line that made a NaN"
+            )
+    if jit_is_disabled():
+        lines.append(
+            "warning: JAX_DISABLE_JIT is set: every operation is dispatched by itself, and an "
+            "iteration takes minutes even on small tasks, without a sign of life until its end"
+        )
+    return lines
+
+
+def jit_is_disabled() -> bool:
+    """Return True if JAX_DISABLE_JIT is set."""
+    import jax
+
+    name = "jax_disable_jit"  # jax declares no such attribute
+    return bool(getattr(jax.config, name))

@@ -15,7 +15,7 @@ from sndjax.algorithms import NAMED
 
 from ..config.library import has_forward_model, has_predictor
 from ..config.schema import AlgoConfig, Config
-from ..environments.pools import Pool
+from ..environments.pool import Pool
 from ..system.errors import ConfigError
 from .placement import SINGLE_DEVICE, SingleDevice
 from .user_module import load_module

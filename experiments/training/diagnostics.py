@@ -1,85 +1,16 @@
-"""Diagnostics: values that are not finite, and metrics that show that nothing is learned."""
+"""Diagnostics: what to know before a run, and metrics that show that nothing is learned."""
 
 import math
 from collections import deque
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
+from sndjax import AgentSpec
 
-from sndjax import AgentSpec, Experience, TrainState
-
-from ..config.saved import SavedConfig, to_yaml
 from ..config.schema import Config
-from ..storage.array_trees import write_tree
-from ..storage.checkpoints import unwrap_key
+from ..environments.observations import Reader
 
 WINDOW = 10  # iterations over which a metric is averaged before a warning
-PPO = ("policy_loss", "value_loss", "entropy", "kl", "ratio_clipped", "ppo_loss", "grad_norm")
-LAST = ("module_loss", "module_grad_norm")
-
-
-def computation_order(name: str) -> tuple[int, int]:
-    """Return a sort key: the position of a metric in the computation of an update.
-
-    The order is rewards, PPO, the intrinsic module, its loss and gradient, the state.
-    """
-    if name == "ext_reward" or name.startswith("int_"):
-        return (0, name != "ext_reward")
-    if name == "state":
-        return (3, 0)
-    if name in PPO:
-        return (1, PPO.index(name))
-    return (2, 1 + LAST.index(name) if name in LAST else 0)
-
-
-def nonfinite_terms(
-    seeds: list[int], reward: Any, valid: Any, metrics: dict[str, list[float]]
-) -> list[str]:
-    """Return a line for each term that is not finite, in the order of their computation.
-
-    Args:
-      seeds: the seed of each agent.
-      reward: the rewards of the environments, [S, T, N].
-      valid: which rows are valid, [S, T, N].
-      metrics: the metrics of the update by name, one value for each seed.
-
-    Returns:
-      Lines "seed 0: kl is nan", sorted by seed and then by order of computation.
-    """
-    found = []
-    for i, seed in enumerate(seeds):
-        terms = {"ext_reward": float(np.asarray(reward[i])[np.asarray(valid[i])].sum())}
-        terms |= {name: values[i] for name, values in metrics.items()}
-        if not terms.pop("state_finite", True):
-            terms["state"] = math.nan
-        found += [
-            f"seed {seed}: {name} is {terms[name]}"
-            for name in sorted(terms, key=computation_order)
-            if not math.isfinite(terms[name])
-        ]
-    return found
-
-
-def write_dump(
-    path: Path, config: Config, versions: dict[str, str], state: TrainState, batch: Experience
-) -> None:
-    """Write the dump that `experiments.replay` reads: the state before an update, and its batch.
-
-    Args:
-      path: the directory to create.
-      config: the configuration of the run.
-      versions: the versions of the packages, by name.
-      state: the states of all seeds before the update.
-      batch: the batch of the update.
-
-    Raises:
-      OSError: the dump cannot be written.
-    """
-    tree = jax.tree.map(np.asarray, {"state": unwrap_key(state), "batch": batch})
-    write_tree(path, tree, {"config": to_yaml(SavedConfig(config, versions))})
 
 
 class HealthMonitor:
@@ -132,14 +63,17 @@ class HealthMonitor:
         return found
 
 
-def announcements(config: Config, agent: AgentSpec, done: int) -> Iterator[str]:
+def announcements(config: Config, agent: AgentSpec, reader: Reader, done: int) -> Iterator[str]:
     """Yield what a user should know before the first iteration.
 
     Args:
       config: of the run.
       agent: what learns.
+      reader: of the observations.
       done: iterations that the run has had before.
     """
+    yield f"observations: {reader.description}"
+    yield from (f"warning: {doubt}" for doubt in reader.doubts)
     has_scale = agent.intrinsic is None or agent.intrinsic.module.has_published_scale
     if not has_scale and config.algo.reward_scale == "none":
         yield (

@@ -1,17 +1,21 @@
 """`build_experiment(config)`: the environments of a configuration and the agent for them."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 import sndjax
 
 from ..config.schema import Config
-from ..environments.pools import Pool, make_pools
+from ..environments.pool import Pool
+from ..environments.pools import make_pools
 from ..system.errors import ConfigError
+from ..system.process import available_memory
 from .agents import build_agent, init_states, make_seeds_train_step, map_over_seeds
 from .placement import SINGLE_DEVICE, SingleDevice
 from .rollouts import Collector, choose_num_pools
@@ -65,6 +69,23 @@ class Experiment(NamedTuple):
         return make_seeds_train_step(self.agent, self.config, self.placement)
 
 
+def check_rollout_memory(config: Config, pool: Pool) -> None:
+    """Check that the observations of a rollout fit the memory of this machine.
+
+    Raises:
+      ConfigError: they do not.
+    """
+    frame = math.prod(pool.shape) * np.dtype(pool.dtype).itemsize
+    needed = config.num_seeds * (config.rollout_length + 1) * config.num_envs * frame
+    available = available_memory()
+    if available is not None and needed > available:
+        raise ConfigError(
+            f"the observations of a rollout, num_envs={config.num_envs} x rollout_length="
+            f"{config.rollout_length} of shape {pool.shape}, take {needed / 1e9:,.0f} GB, and "
+            f"{available / 1e9:,.0f} GB are free; take fewer of either"
+        )
+
+
 def build_experiment(
     config: Config,
     placement: SingleDevice = SINGLE_DEVICE,
@@ -95,6 +116,7 @@ def build_experiment(
             placement.num_pools(choose_num_pools(config.num_envs), config.num_envs),
             placement.local_env_slice(config.num_envs),
         )
+        check_rollout_memory(config, pools[0])
     agent = build_agent(config, pools[0])
     example = jnp.zeros((config.num_envs, *pools[0].shape), pools[0].dtype)
     try:

@@ -14,14 +14,14 @@ import numpy as np
 from sndjax import Actor, ActOutput, Experience, Rollout
 
 from ..config.schema import Config
-from ..environments.pools import EnvStep, Pool
+from ..environments.pool import EnvStep, Pool
 
 
 class RolloutInfo(NamedTuple):
     """The data of a rollout that the log needs; arrays are [S, T, N]."""
 
     valid: np.ndarray
-    done: np.ndarray
+    game_over: np.ndarray
     reward: np.ndarray
     score: np.ndarray
     room: np.ndarray | None
@@ -191,6 +191,7 @@ class Collector:
             "action": np.zeros(rows, np.int32),
             "first": np.zeros(rows, bool),
             "done": np.zeros(rows, bool),
+            "game_over": np.zeros(rows, bool),
             "valid": np.zeros(rows, bool),
             "reward": np.zeros(rows, np.float32),
             "truncated": np.zeros(rows, bool),
@@ -237,7 +238,7 @@ class Collector:
     def receive_steps(self, state: PoolState, t: int) -> None:
         """Wait for step t of a pool's environments, and store its results."""
         step: EnvStep = state.pool.receive()
-        for name in ("done", "valid", "reward", "truncated", "score"):
+        for name in ("done", "game_over", "valid", "reward", "truncated", "score"):
             self.columns[name][:, t, state.envs] = getattr(step, name)
         if self.room is not None:
             self.room[:, t, state.envs] = step.room
@@ -286,7 +287,7 @@ class Collector:
             log_prob=c["log_prob"],
             value=self.value,
         )
-        columns = {name: c[name] for name in ("valid", "done", "reward", "score")}
+        columns = {name: c[name] for name in ("valid", "game_over", "reward", "score")}
         return batch, RolloutInfo(**columns, room=self.room)
 
     def close(self) -> None:

@@ -13,17 +13,19 @@ import numpy as np
 import sndjax
 
 from ..config.schema import Config
-from ..storage.array_trees import CheckpointError
 from ..storage.episodes import EpisodeTracker
 from ..storage.run_directory import FollowerDirectory, RunDirectory
 from ..storage.run_logs import mean_over_seeds
 from ..system.display import Progress, format_duration
+from ..system.errors import NonFiniteError, TaskError
 from ..system.interrupts import Interrupted, Interrupts
+from ..system.jax_settings import apply_debug_settings, jit_is_disabled
 from ..system.process import enable_compilation_cache, return_freed_memory
 from ..system.versions import versions
-from .diagnostics import HealthMonitor, announcements, nonfinite_terms, write_dump
+from .diagnostics import HealthMonitor, announcements
 from .experiment import build_experiment
 from .flops import estimate_seconds
+from .nonfinite import keep_failed_update, nonfinite_terms
 from .placement import choose_placement
 from .rollouts import RolloutInfo
 from .run_logger import RunLogger
@@ -46,9 +48,11 @@ class Trainer:
           ConfigError: the task or the checkpoint does not fit the configuration.
         """
         enable_compilation_cache()
+        settings = apply_debug_settings()
         self.config, self.seeds = config, config.seeds
         self.placement = choose_placement(config)
         self.logger = RunLogger(config, directory, self.placement)
+        self.logger.messages += settings
         self.experiment = build_experiment(config, self.placement, self.logger.done)
         self.collector = self.experiment.make_collector()
         self.train_step = self.placement.compile_train_step(self.experiment.make_train_step())
@@ -57,6 +61,7 @@ class Trainer:
         # None: not initialized yet, or donated to a running update.
         self.state: sndjax.TrainState | None = self.logger.load(self.experiment.state_shapes())
         self.update_seconds: float | None = None  # the expected time of an update
+        self.logged = True  # the state is that of the last iteration in the log
         self.logger.open_tracker()
 
     def train(self, interrupts: Interrupts) -> None:
@@ -66,9 +71,10 @@ class Trainer:
           interrupts: the signals that this process receives.
 
         Raises:
-          FloatingPointError: with on_nan=stop, a number is not finite.
+          NonFiniteError: with on_nan=stop, a number is not finite.
           Interrupted: a signal was received.
           OSError: the files of the run cannot be written.
+          TaskError: the environment failed.
         """
         self.interrupts = interrupts
         config, logger = self.config, self.logger
@@ -76,15 +82,21 @@ class Trainer:
         logger.open_logs(self.experiment.agent, self.experiment.pool.rooms)
         title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {logger.path}"
         self.progress = Progress(title, total, logger.done * config.rows)
-        for line in [*logger.messages, *announcements(config, self.experiment.agent, logger.done)]:
+        reader = self.experiment.pool.reader
+        news = announcements(config, self.experiment.agent, reader, logger.done)
+        for line in [*logger.messages, *news]:
             self.progress.say(line)
         logger.say = self.progress.say
         finished = False
         try:
             try:
                 self.iterate()
-            except Interrupted:
-                self.save_before_leaving()
+            except BaseException as error:  # whatever it is, the last finished iteration stays
+                if self.placement.hosts == 1 or isinstance(error, Interrupted):
+                    self.save_before_leaving()
+                # A signal to all processes of the run may have ended those of the environment.
+                if isinstance(error, TaskError) and interrupts.wait_for_signal():
+                    raise Interrupted(interrupts.received or signal.SIGTERM) from error
                 raise
             finished = True
             logger.logs.summarize(logger.done * config.rows)
@@ -122,6 +134,7 @@ class Trainer:
         batch, info = self.collect()
         collected = time.monotonic()
         metrics, int_reward = self.learn(batch, info)
+        self.logged = False
         assert self.state is not None
         elapsed = time.monotonic() - begun
         times = {
@@ -133,11 +146,12 @@ class Trainer:
         ended = self.episodes.update(
             logger.done * config.rows,
             info.valid,
-            info.done,
+            info.game_over,
             (info.reward, info.score, int_reward),
             info.room,
         )
         lines = logger.log(info, metrics, ended, times)
+        self.logged = True
         progress.iteration(mean_over_seeds(lines))
         for line in lines:
             for warning in self.monitors[line["seed"]].update(line):
@@ -191,7 +205,7 @@ class Trainer:
           The metrics by name, a value for every seed, and the intrinsic rewards, [S, T, N].
 
         Raises:
-          FloatingPointError: with on_nan=stop, a number is not finite.
+          NonFiniteError: with on_nan=stop, a number is not finite.
           Interrupted: a signal was received.
         """
         state = self.state
@@ -207,14 +221,18 @@ class Trainer:
             with self.breakable(GRACE_SECONDS):
                 self.state = None
                 state, found, reward = jax.block_until_ready(self.update(state, batch))
-        except Interrupted:
+        except BaseException:
             self.state = before
             raise
         self.update_seconds = time.monotonic() - begun
         metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
-        wrong = nonfinite_terms(self.seeds, info.reward, info.valid, metrics)
+        frames = batch.rollout.frames
+        wrong = nonfinite_terms(self.seeds, info.reward, info.valid, metrics, frames)
         if wrong and self.config.on_nan == "stop":
-            raise FloatingPointError(self.keep_nonfinite(wrong, before, batch))
+            self.state, message = keep_failed_update(
+                self.logger, self.experiment, wrong, before, batch
+            )
+            raise NonFiniteError(message)
         metrics.pop("state_finite", None)
         self.state = state
         return metrics, np.asarray(reward)
@@ -225,6 +243,9 @@ class Trainer:
 
     def compile(self, state: sndjax.TrainState, batch: sndjax.Experience) -> None:
         """Compile the update, and estimate its time."""
+        if jit_is_disabled():
+            self.update = self.train_step
+            return
         self.progress.phase("compiling the update")
         begun = time.monotonic()
         with self.breakable():
@@ -236,41 +257,14 @@ class Trainer:
         compiled = f"update compiled in {time.monotonic() - begun:.0f} s"
         self.progress.say(f"{compiled}; each takes about {each}")
 
-    def keep_nonfinite(
-        self, wrong: list[str], before: sndjax.TrainState | None, batch: sndjax.Experience
-    ) -> str:
-        """Save the state before an update that failed and a dump of the update.
-
-        Args:
-          wrong: the terms that are not finite.
-          before: the state before the update; None if the newest checkpoint holds it.
-          batch: the batch of the update.
-
-        Returns:
-          The error message for the user.
-        """
-        more, logger = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else "", self.logger
-        what = f"iteration {logger.done + 1}, {wrong[0]}{more}"
-        dump = logger.path / f"wrong-{logger.done + 1}"
-        try:
-            if before is None:
-                before = logger.load_newest(self.experiment.state_shapes())
-            self.state = before
-            logger.save(before)
-            logger.flush()
-            before, batch = self.placement.to_host((before, batch))
-            if self.placement.is_leader:
-                write_dump(dump, self.config, versions(), before, batch)
-        except (OSError, CheckpointError) as error:
-            return f"{what}; the dump could not be written: {error}"
-        good = f"the last good checkpoint is that of iteration {logger.done}"
-        return f"{what}; {good}; to see why: sndjax replay {dump}"
-
     def save_before_leaving(self) -> None:
-        """Save a checkpoint of the current state, unless an interrupted update has its memory."""
+        """Save a checkpoint of the last logged iteration.
+
+        None is saved if an interrupted update has its memory, or if its log could not be written.
+        """
         self.progress.phase("saving")
         try:
-            if self.state is not None:
+            if self.state is not None and self.logged:
                 self.logger.save(self.state)
             self.logger.flush()
         except OSError as error:
@@ -289,9 +283,10 @@ def train(
 
     Raises:
       ConfigError: the task or the checkpoint does not fit the configuration; nothing was written.
-      FloatingPointError: with on_nan=stop, a number is not finite.
+      NonFiniteError: with on_nan=stop, a number is not finite.
       Interrupted: a signal was received.
       OSError: the files of the run cannot be written.
+      TaskError: the environment failed.
     """
     trainer = Trainer(config, directory)
     trainer.logger.messages += directory.begin(config, versions())

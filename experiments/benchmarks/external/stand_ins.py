@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...environments.pools import EnvStep, Pool
+from ...environments.pool import EnvStep, Pool
 from ...system.display import ProgressBars
 
 WRAPPERS = ("ClipRewardEnv", "EpisodicLifeEnv", "FireResetEnv", "MaxAndSkipEnv", "NoopResetEnv")

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from experiments.training.diagnostics import WINDOW, HealthMonitor, nonfinite_terms
+from experiments.training.diagnostics import WINDOW, HealthMonitor
+from experiments.training.nonfinite import nonfinite_terms
 from sndjax import Experience, Rollout
 
 

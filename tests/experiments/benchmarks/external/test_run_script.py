@@ -128,7 +128,7 @@ class Scripted:
 
     def step(self, action):
         reward, done = np.array([next(self.rewards)]), np.array([next(self.ends)])
-        return EnvStep(action, reward, reward, done, done, ~done, None)
+        return EnvStep(action, reward, reward, done, done, done, ~done, None)
 
 
 def test_EpisodeCountingEnv_return_is_the_sum_of_rewards():

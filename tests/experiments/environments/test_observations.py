@@ -1,0 +1,140 @@
+"""Compare the readers of observations with loops over axes and with closed forms."""
+
+import tracemalloc
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from experiments.config.schema import EnvConfig
+from experiments.environments.image_layout import find_layout
+from experiments.environments.observations import VectorReader, make_reader
+from experiments.system.errors import ConfigError
+
+Box, Dict, Discrete = gym.spaces.Box, gym.spaces.Dict, gym.spaces.Discrete
+
+
+def reader(space, **how):
+    return make_reader(space, EnvConfig(name="x", id="X-v0", **how))
+
+
+def pixels(*shape, dtype=np.uint8, high=255):
+    return Box(0, high, shape, dtype)
+
+
+@pytest.mark.parametrize(
+    ("shape", "axes", "size"),
+    [
+        ((84, 80), "hw", (84, 80, 1)),
+        ((84, 80, 3), "hwc", (84, 80, 3)),
+        ((3, 84, 80), "chw", (84, 80, 3)),
+        ((4, 84, 80, 3), "shwc", (84, 80, 12)),
+        ((2, 3, 84, 80), "schw", (84, 80, 6)),
+    ],
+)
+def test_ImageReader_read_every_order_of_axes_is_height_width_channels(shape, axes, size):
+    made = reader(pixels(*shape))
+    assert made.shape == size
+    images = np.random.default_rng(0).integers(0, 256, (2, *shape), np.uint8)
+    got = made.read(images)
+    channels = shape[axes.index("c")] if "c" in axes else 1
+    for b, h, w, k in np.random.default_rng(1).integers(0, (2, *size), (200, 4)):
+        place = {"h": h, "w": w, "c": k % channels, "s": k // channels}
+        assert got[b, h, w, k] == images[(b, *(place[axis] for axis in axes))]
+    assert bool(made.doubts) == ("s" in axes)  # a stack is read, and the user is told
+
+
+@pytest.mark.parametrize(
+    ("dtype", "high"), [(np.int32, 255), (np.float32, 255), (np.float32, 1), (np.float64, 1)]
+)
+def test_ImageReader_read_other_dtypes_are_scaled_by_their_range(dtype, high):
+    made = reader(pixels(64, 64, 3, dtype=dtype, high=high))
+    assert (made.shape, made.dtype) == ((64, 64, 3), np.uint8)
+    wanted = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3))
+    images = (wanted * (high / 255)).astype(dtype)
+    np.testing.assert_array_equal(made.read(images), wanted)
+
+
+def test_make_reader_doubtful_images_are_read_as_vectors_with_a_warning():
+    free = Box(-np.inf, np.inf, (64, 64, 3), np.float32)
+    both = Dict({"rgb": pixels(48, 40, 3), "speed": Box(-1, 1, (2,), np.float32)})
+    for space, hint in ((free, "env.pixel_max=255"), (both, "env.observation=image")):
+        made = reader(space)
+        assert made.dtype == np.float32
+        (doubt,) = made.doubts
+        assert hint in doubt
+    assert reader(both).shape == (48 * 40 * 3 + 2,)
+    assert not reader(Dict({"speed": Box(-1, 1, (2,), np.float32)})).doubts
+
+
+def test_make_reader_observation_image_reads_the_one_image_alone():
+    both = Dict({"speed": Box(-1, 1, (2,), np.float32), "rgb": pixels(48, 40, 3)})
+    made = reader(both, observation="image")
+    image = np.random.default_rng(0).integers(0, 256, (2, 48, 40, 3), np.uint8)
+    np.testing.assert_array_equal(made.read({"speed": np.zeros((2, 2)), "rgb": image}), image)
+    free = Box(-np.inf, np.inf, (64, 64, 3), np.float32)
+    with pytest.raises(ConfigError, match=r"env\.pixel_max=255"):
+        reader(free, observation="image")
+    made = reader(free, observation="image", pixel_max=2.0)
+    np.testing.assert_array_equal(made.read(np.full((1, 64, 64, 3), 1.0)), 128)
+    np.testing.assert_array_equal(made.read(np.full((1, 64, 64, 3), 9.0)), 255)
+    small = reader(pixels(10, 10, 3), observation="image")
+    assert small.shape == (10, 10, 3)
+    with pytest.raises(ConfigError, match="have no images"):
+        reader(Box(-1, 1, (5,)), observation="image")
+    with pytest.raises(ConfigError, match="have 2 images"):
+        reader(Dict({"a": pixels(48, 40, 3), "b": pixels(48, 40, 3)}), observation="image")
+    with pytest.raises(ConfigError, match="no view of MiniGrid"):
+        reader(pixels(48, 40, 3), observation="cells")
+
+
+def test_make_reader_observation_vector_flattens_an_image():
+    made = reader(pixels(48, 40, 3), observation="vector")
+    got = made.read(np.full((1, 48, 40, 3), 255, np.uint8))
+    assert got.shape == (1, 48 * 40 * 3)
+    np.testing.assert_allclose(got, 1)
+
+
+def test_VectorReader_dict_observations_are_concatenated():
+    space = Dict(
+        {
+            "b": Box(0, 10, (2,), np.float32),
+            "a": Dict({"n": Discrete(3), "m": gym.spaces.MultiBinary(2)}),
+            "c": Box(-np.inf, np.inf, (1,), np.float32),
+        }
+    )
+    made = VectorReader(space)
+    got = made.read(
+        {
+            "a": {"n": np.array([2, 0]), "m": np.array([[0, 1], [1, 1]])},
+            "b": np.array([[0, 10], [5, 2.5]]),
+            "c": np.array([[7.0], [8.0]]),
+        }
+    )
+    wanted = [[-1, 1, -1, -1, 1, -1, 1, 7], [1, 1, 1, -1, -1, 0, -0.5, 8]]
+    np.testing.assert_allclose(got, wanted)
+    assert made.unbounded == (False,) * 7 + (True,)
+
+
+def test_VectorReader_component_with_equal_bounds_is_zero_and_not_unbounded():
+    low, high = np.array([9.81, 0, -np.inf]), np.array([9.81, 2, np.inf])
+    made = VectorReader(Box(low.astype(np.float32), high.astype(np.float32)))
+    assert made.unbounded == (False, False, True)
+    got = made.read(np.array([[9.81, 2.0, 5.0]], np.float32))
+    np.testing.assert_array_equal(got, [[0, 1, 5]])
+
+
+def test_VectorReader_large_discrete_space_needs_memory_of_its_rows_alone():
+    made = VectorReader(Discrete(200_000, start=3))
+    tracemalloc.start()
+    got = made.read(np.array([3, 200_002]))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 4 * got.nbytes  # an identity matrix would be 160 GB
+    np.testing.assert_array_equal(np.argwhere(got == 1), [[0, 0], [1, 199_999]])
+    assert np.all(got[got != 1] == -1)
+
+
+@pytest.mark.parametrize("shape", [(4,), (7, 7, 3), (2, 3, 4, 5, 6), (31, 84, 3), (64, 64, 64)])
+def test_find_layout_other_shapes_are_no_images(shape):
+    assert find_layout(shape, 32) is None
