@@ -78,13 +78,8 @@ def merge_statistics(a: RunningStatistics, b: RunningStatistics) -> RunningStati
 
 
 def batch_statistics(x: Float[Array, "B *shape"], valid: Bool[Array, " B"]) -> RunningStatistics:
-    """Compute the statistics of the valid rows of one batch.
-
-    The mean is corrected by the mean distance from it, so that its error is one rounding, however
-    many rows there are. The deviation of a constant is then one rounding too, see `std`.
-    """
+    """Compute the statistics of the valid rows of one batch."""
     mean = masked_mean(x, valid)
-    mean = mean + masked_mean(x - mean[None], valid)
     return RunningStatistics(
         jnp.sum(valid, dtype=x.dtype), mean, masked_sum((x - mean[None]) ** 2, valid)
     )

@@ -40,7 +40,6 @@ def barlow_twins_loss(
     count = valid_count(valid, z.dtype)
 
     def normalise(z: Float[Array, "B d"]) -> Float[Array, "B d"]:
-        z = mask_rows(z, valid)
         centred = mask_rows(z - masked_mean(z, valid)[None], valid)
         return centred / jnp.sqrt(masked_sum(centred**2, valid) / count + 1e-5)[None]
 

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.convolution import to_float
 from sndjax.protocols import Encode, Objective
-from sndjax.statistics import broadcast_mask
+from sndjax.statistics import broadcast_mask, mask_rows
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 TILES = (1, 2, 4, 8, 12, 16)  # sides in pixels; those that divide the image are used
@@ -121,9 +121,11 @@ def contrastive() -> Objective:
         pairs = max(2, batch.valid.shape[0] // 8)
         one, other, far = draw_pairs(key_pairs, rollout.valid.reshape(-1), pairs)
         frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
-        za, _ = encode(augment(key_one, to_float(frames[one])))
-        zb, _ = encode(augment(key_other, to_float(frames[other])))
+        some = jnp.any(rollout.valid)
+        drawn = lambda rows: mask_rows(to_float(frames[rows]), jnp.broadcast_to(some, (pairs,)))
+        za, _ = encode(augment(key_one, drawn(one)))
+        zb, _ = encode(augment(key_other, drawn(other)))
         total, terms = contrastive_loss(za, zb, far)
-        return jnp.where(jnp.any(rollout.valid), total, jnp.zeros_like(total)), terms
+        return jnp.where(some, total, jnp.zeros_like(total)), terms
 
     return Objective(init, loss, needs_pairs=False, name="contrastive")

@@ -121,3 +121,20 @@ def test_contrastive_loss_draws_an_eighth_of_minibatch_from_valid_rows_of_rollou
     assert drawn <= valid | {0}  # a row with most elements zeroed has median 0
     assert max(drawn) >= 48
     assert len(drawn) > 20
+
+
+def test_contrastive_loss_rollout_without_valid_rows_trains_on_nothing():
+    """Row 0 stands in for the pairs that cannot be drawn; what it holds must not matter."""
+    kind = KINDS[2]
+    made = rollout(kind, np.random.default_rng(0))
+    made = made._replace(frames=made.frames.at[0].set(jnp.nan), valid=jnp.zeros_like(made.valid))
+    rows = gather_transitions(made, jnp.arange(16))
+
+    def loss(weight):
+        encode = lambda x: (x @ weight, x)
+        features = Features(*4 * [None])
+        return contrastive().loss({}, encode, features, rows, made, jax.random.key(0))[0]
+
+    value, gradient = jax.value_and_grad(loss)(jnp.ones((5, 4)))
+    assert value == 0
+    np.testing.assert_array_equal(gradient, 0)

@@ -20,6 +20,7 @@ from experiments.analysis.state_dataset import (
     encode_states,
     policy_torso_features,
 )
+from experiments.config.envpool_tasks import envpool
 from experiments.evaluation import video
 from experiments.evaluation.players import (
     episode_novelty,
@@ -219,3 +220,25 @@ def test_analyze_evaluate_record_bad_input_exits_with_status_2(
         (empty / name).write_bytes((car / name).read_bytes())
     assert command.main([str(empty)]) == 2
     assert "there is no checkpoint" in capsys.readouterr().err
+
+
+def test_play_episodes_of_a_run_on_lives_are_whole_games(tmp_path):
+    """Repeat the actions in envpool, without episodic lives: the game ends at the same step."""
+    task = ["env=envpool", "env.id=Breakout-v5", "env.options.episodic_life=true"]
+    small = ["algo=ppo", "network=small", "num_envs=4", "rollout_length=16", "total_steps=64"]
+    path = tmp_path / "run"
+    (player,) = load_players(trained(path, *task, *small, "ppo.minibatch_size=64"))
+    episodes = play_episodes(player, 2, seed=3, max_steps=1000)
+    options = dict(player.config.env.options)
+    assert options.pop("episodic_life") is False
+    for episode in episodes:
+        seed = [episode.stream]
+        game = envpool.make("Breakout-v5", env_type="gymnasium", num_envs=1, seed=seed, **options)
+        game.reset()
+        for action in episode.executed[:-1]:
+            _, _, terminated, truncated, _ = game.step(np.array([action], np.int32))
+            assert not terminated[0]
+            assert not truncated[0]
+        _, _, terminated, _, info = game.step(episode.executed[-1:].astype(np.int32))
+        assert terminated[0]
+        assert info["lives"][0] == 0
