@@ -38,7 +38,7 @@ class Experience(NamedTuple):
     rollout: Rollout
     history: Shaped[Array, "S-1 N *frame"]  # the older frames of the first stack, oldest first
     reward: Float[Array, "T N"]  # the environment's training reward
-    truncated: Bool[Array, "T N"]  # done by a step limit rather than by the game
+    truncated: Bool[Array, "T N"]  # done by a step limit alone; False where the game ended too
     log_prob: Float[Array, "T N"]  # of `action`, when it was chosen
     value: Float[Array, "T+1 N K"]  # external first, intrinsic second
 
