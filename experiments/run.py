@@ -4,10 +4,12 @@ The configuration is read and checked before the slow imports (such as jax), so 
 refused at once.
 """
 
+import errno
 import os
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 
 from .config.command_text import resume_command
 from .config.compose import load_config
@@ -20,6 +22,9 @@ from .system.errors import ConfigError, NonFiniteError, TaskError, print_error
 from .system.interrupts import Interrupted, Interrupts
 from .system.jax_settings import jax_problem
 from .system.process import configure_xla, run_script
+
+# What a disk answers that is full, broken or not to be written.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 def resume_hint(directory: RunDirectory | FollowerDirectory | None, config: Config | None) -> str:
@@ -34,6 +39,17 @@ def left_behind(directory: RunDirectory | FollowerDirectory | None, config: Conf
     if directory is not None:
         directory.discard()
     return resume_hint(directory, config)
+
+
+def concerns_files(error: OSError, directory: RunDirectory | FollowerDirectory | None) -> bool:
+    """Return True if an error is one of writing the run: of a full disk, or of one of its files."""
+    if error.errno in FULL:
+        return True
+    named = [Path(str(name)) for name in (error.filename, error.filename2) if name is not None]
+    if directory is None:
+        return bool(named)
+    own = (directory.path.resolve(), directory.shared.resolve())
+    return any(path.resolve().is_relative_to(place) for path in named for place in own)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -109,14 +125,14 @@ def train(arguments: list[str], interrupts: Interrupts) -> int:
         return print_error(error, 1)
     except TaskError as error:
         return print_error(f"{error}{left_behind(directory, config)}", 1)
-    except OSError as error:
-        return print_error(f"cannot write the run: {error}{resume_hint(directory, config)}", 1)
     except Interrupted as stopped:
         return print_error(f"interrupted{resume_hint(directory, config)}", stopped.status)
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit, KeyboardInterrupt) as error:
         problem, hint = jax_problem(error), left_behind(directory, config)
         if problem is not None:
             return print_error(problem)
+        if isinstance(error, OSError) and concerns_files(error, directory):
+            return print_error(f"cannot write the run: {error}{hint}", 1)
         traceback.print_exc()  # of ours, or of a module of the user's own
         return print_error(f"stopped by {type(error).__name__}: {error}{hint}", 1)
     finally:

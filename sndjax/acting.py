@@ -10,11 +10,13 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax import ppo
 from sndjax.intrinsic_module import IntrinsicModule
-from sndjax.networks import ActorCritic
+from sndjax.networks import ActorCritic, match_dtype
 from sndjax.rollout import FrameStack, push_frame, stack_to_channels
 from sndjax.scaling import RewardScale
 from sndjax.statistics import std
 from sndjax.types import Params, RunningStatistics
+
+LARGEST_MEAN = 10.0  # of an unbounded component, after it is scaled
 
 
 class IntrinsicConfig(NamedTuple):
@@ -68,6 +70,9 @@ def scale_vectors(
 ) -> Shaped[Array, "*rows D"]:
     """Divide the unbounded components of vectors by their running standard deviation.
 
+    Where the mean is more than `LARGEST_MEAN` deviations from zero, the divisor is the mean over
+    that number: the mean is not subtracted, and a component that hardly varies would be huge.
+
     Args:
       frames: vectors; pixels are returned as they are.
       moments: the running statistics of vectors.
@@ -75,7 +80,8 @@ def scale_vectors(
     """
     if not any(unbounded):
         return frames
-    scale = jnp.where(np.array(unbounded), std(moments), 1.0)
+    scale = jnp.maximum(std(moments), jnp.abs(moments.mean) / LARGEST_MEAN)
+    scale = jnp.where(np.array(unbounded), scale, 1.0)
     return frames / scale.reshape((1,) * (frames.ndim - 1) + (-1,))
 
 
@@ -89,7 +95,7 @@ def forward(
       params: its weights.
       stacked: frames of a stack on the last axis.
     """
-    return cast(tuple[Array, Array], network.apply(params, stacked))
+    return cast(tuple[Array, Array], network.apply(params, match_dtype(stacked, params)))
 
 
 def act(

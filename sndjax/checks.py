@@ -9,7 +9,9 @@ from jaxtyping import Array, Bool, Int, Shaped
 
 from sndjax.types import Rollout
 
-CHANNELS = 12  # more than so many channels a stack of frames does not have
+CHANNELS = 16  # so many channels, on the first axis, beside sides of
+SIDE = 32  # pixels or more, are channels in the wrong place
+BRIGHT = 16.0  # a float image that holds more is not in [0, 1], and not standardised either
 
 
 def check_rollout(rollout: Rollout, num_actions: int | None = None) -> None:
@@ -95,12 +97,19 @@ def check_images(frames: Shaped[Array, "B *frame"]) -> None:
       frames: the batch.
 
     Raises:
-      ValueError: frames are vectors, or their channels come first.
+      ValueError: frames are vectors, their channels come first, or (outside of `jax.jit`) they are
+        floats far above 1.
     """
     shape = frames.shape[1:]
     if len(shape) != 3:
         raise ValueError(
             f"frames of shape {shape} are no images [H, W, C]; for vectors take size=sndjax.VECTOR"
         )
-    if shape[0] <= CHANNELS and shape[0] < min(shape[1:]):
+    if shape[0] <= CHANNELS and min(shape[1:]) >= SIDE:
         raise ValueError(f"frames of shape {shape} have their channels first; they must be last")
+    floats = np.issubdtype(frames.dtype, np.floating)
+    if floats and not isinstance(frames, jax.core.Tracer) and np.abs(frames).max() > BRIGHT:
+        raise ValueError(
+            f"images of {frames.dtype} hold {np.abs(frames).max():g}: pixels of 0 to 255 must be "
+            "integers, which are read as x / 255, and floats must be in [0, 1]"
+        )

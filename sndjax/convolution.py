@@ -47,19 +47,22 @@ SLOPES: dict[str, Callable[[Array], Array]] = {
 }
 
 
+PIXELS = 16  # the smallest side of an image of integers that are no uint8
+
+
 def to_float(x: Shaped[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Convert frames to floats.
 
-    Pixels become `float32` in [0, 1]: `uint8` always, other integers where the frame is an image
-    [H, W, C]. Other integers and booleans keep their values. Floats stay as they are: an image of
-    floats must be in [0, 1] already.
+    Pixels become `float32` in [0, 1]: `uint8` always, other integers in frames [H, W, C] from
+    16x16 on. Other integers and booleans keep their values. Floats stay: images must be in [0, 1].
 
     >>> to_float(jnp.array([0, 255], jnp.uint8))
     Array([0., 1.], dtype=float32)
     """
     if jnp.issubdtype(x.dtype, jnp.floating):
         return x
-    pixels = x.dtype == jnp.uint8 or (jnp.issubdtype(x.dtype, jnp.integer) and x.ndim >= 4)
+    image = x.ndim >= 4 and min(x.shape[-3:-1]) >= PIXELS
+    pixels = x.dtype == jnp.uint8 or (jnp.issubdtype(x.dtype, jnp.integer) and image)
     return x.astype(jnp.float32) / 255.0 if pixels else x.astype(jnp.float32)
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple, cast
 
 from jaxtyping import Array, Float, Int, Shaped
 
-from sndjax.networks import Encoder
+from sndjax.networks import Encoder, match_dtype
 from sndjax.preprocessing import Preprocess, make_preprocess
 from sndjax.protocols import EncoderView, Objective, Signal
 from sndjax.types import Features, ModuleParams, ModuleState, Params, Transition
@@ -56,7 +56,7 @@ def apply_encoder(
       frames: what it reads.
       action: for encoders that take the action as input.
     """
-    return cast(tuple[Array, Array], encoder.apply(weights, frames, action))
+    return cast(tuple[Array, Array], encoder.apply(weights, match_dtype(frames, weights), action))
 
 
 def view_encoder(

@@ -5,7 +5,7 @@ Weights are orthogonal with the gains of the published experiments, biases zero.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
@@ -72,6 +72,16 @@ SMALL = Architecture(
     patch=4,
 )
 VECTOR = Architecture(channels=(), features=64)
+
+
+def match_dtype(tree: Any, params: Params) -> Any:
+    """Convert the floating-point numbers of a tree to the dtype of a network's weights.
+
+    With JAX_ENABLE_X64=1 a caller's arrays are often float64, and the weights float32.
+    """
+    (dtype, *_) = (leaf.dtype for leaf in jax.tree.leaves(params))
+    floating = lambda x: jnp.issubdtype(x.dtype, jnp.floating)
+    return jax.tree.map(lambda x: x.astype(dtype) if floating(x) else x, tree)
 
 
 def linear(features: int, gain: float, name: str | None = None) -> nn.Dense:

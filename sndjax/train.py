@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from sndjax import ppo
 from sndjax.acting import AgentSpec, scale_vectors
+from sndjax.networks import match_dtype
 from sndjax.rollout import (
     stack_to_channels,
     zero_reset_rows,
@@ -132,7 +133,7 @@ def make_train_step(
     def train_step(
         state: TrainState, batch: Experience
     ) -> tuple[TrainState, Metrics, Float[Array, "T N"]]:
-        batch = zero_reset_rows(batch)
+        batch = zero_reset_rows(match_dtype(batch, state.policy))
         raw, valid = batch.rollout.frames, batch.rollout.valid
         scale = lambda x: scale_vectors(x, state.observations, agent.unbounded)
         batch = batch._replace(

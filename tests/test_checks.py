@@ -18,6 +18,7 @@ from sndjax import (
     snd_vic,
 )
 from sndjax.checks import check_images
+from sndjax.convolution import to_float
 
 MADE = rollout(KINDS[2], np.random.default_rng(0))  # T = 8, N = 4, three actions
 
@@ -86,9 +87,11 @@ def test_check_images_channels_first_are_refused(shape):
         ActorCritic(ATARI, 5).init(jax.random.key(0), jnp.zeros(shape, jnp.uint8))
 
 
-@pytest.mark.parametrize("shape", [(2, 84, 84, 3), (2, 96, 96, 1), (2, 7, 7, 3), (2, 24, 24, 48)])
+@pytest.mark.parametrize(
+    "shape", [(84, 84, 3), (96, 96, 1), (7, 7, 3), (24, 24, 48), (9, 11, 83), (12, 16, 20)]
+)
 def test_check_images_channels_last_pass(shape):
-    check_images(jnp.zeros(shape, jnp.uint8))
+    check_images(jnp.zeros((2, *shape), jnp.uint8))
 
 
 def test_snd_vic_vectors_with_the_size_of_pixels_are_refused_with_what_to_write():
@@ -109,3 +112,17 @@ def test_rnd_integer_pixels_of_any_width_have_the_signal_of_uint8():
         signals.append(jax.jit(module.reward)(params, state, pixels, jax.random.key(1))[0])
     np.testing.assert_allclose(signals[1], signals[0], rtol=1e-5)
     np.testing.assert_allclose(signals[2], signals[0], rtol=1e-5)
+
+
+def test_check_images_bright_floats_are_refused_where_their_values_are_known():
+    bright = jnp.full((2, 64, 64, 3), 200.0)
+    with pytest.raises(ValueError, match="hold 200: pixels of 0 to 255 must be integers"):
+        check_images(bright)
+    jax.jit(check_images)(bright)  # values are not known
+    check_images(bright / 255)
+
+
+def test_to_float_small_grids_of_integers_keep_their_values():
+    grid = jnp.full((2, 7, 7, 3), 10, jnp.int32)
+    np.testing.assert_array_equal(to_float(grid), 10)
+    np.testing.assert_allclose(to_float(jnp.full((2, 16, 16, 3), 51, jnp.int32)), 0.2)

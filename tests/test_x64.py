@@ -26,8 +26,8 @@ if kind.name != "vector":
     cells = [("st_dim", "noveld")]
 wide = (jnp.float64, jnp.int64, jnp.uint64)
 batch = experience(kind, np.random.default_rng(0))
-single = lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x
-batch = jax.tree.map(single, batch)
+double = lambda x: x.astype(jnp.float64) if x.dtype == jnp.float32 else x
+batch = jax.tree.map(double, batch)  # as a caller's arrays are with x64, if nothing is done
 frames, rows = batch.rollout.frames, sndjax.gather_transitions(batch.rollout, jnp.arange(16))
 
 
@@ -53,7 +53,7 @@ agent = sndjax.AgentSpec(
 state = sndjax.init_train_state(agent, jax.random.key(0), frames[0])
 after = jax.jit(sndjax.make_train_step(agent))(state, batch)
 actor = sndjax.Actor(state.policy, state.observations, state.key)
-acted = sndjax.act(agent, actor, frames[:1], frames[0], jnp.ones(4, bool), 0)
+acted, _ = sndjax.act(agent, actor, frames[:1], frames[0], jnp.ones(4, bool), 0)
 check(("train_step", "act"), (after, acted))
 """
 

@@ -7,7 +7,7 @@ import numpy as np
 LARGE = 32  # from so many pixels a side on, an array of this shape is taken for an image
 SMALL = 8  # the smallest side of what can be read as an image
 CHANNELS = (1, 3, 4)  # gray, colours, colours and opacity
-FRAMES = 16  # the longest stack of frames
+FRAMES = 64  # the longest stack of frames
 
 
 class ImageLayout(NamedTuple):
@@ -38,7 +38,7 @@ def find_layout(shape: tuple[int, ...], side: int) -> ImageLayout | None:
     """Return the layout of an image, or None if the shape is not that of an image.
 
     Images are [H, W], [H, W, C] or [C, H, W] (C frames of gray are read alike), and stacks of
-    frames [S, H, W, C] or [S, C, H, W].
+    frames [S, H, W, C], [S, C, H, W] or [H, W, C, S].
 
     Args:
       shape: of the array, without the batch.
@@ -50,16 +50,17 @@ def find_layout(shape: tuple[int, ...], side: int) -> ImageLayout | None:
     ((84, 84, 12), None)
     """
     large = lambda *axes: all(shape[axis] >= side for axis in axes)
-    few = lambda axis: shape[axis] < sorted(shape)[1]
+    middle = sorted(shape)[len(shape) // 2]
     if len(shape) == 2 and large(0, 1):
         return ImageLayout((-1, 0, 1, -1), (shape[0], shape[1], 1), 1)
-    if len(shape) == 3 and few(2) and large(0, 1):
+    if len(shape) == 3 and shape[2] <= middle and large(0, 1):
         return ImageLayout((-1, 0, 1, 2), shape, 1)
-    if len(shape) == 3 and few(0) and large(1, 2):
+    if len(shape) == 3 and shape[0] < middle and large(1, 2):
         return ImageLayout((-1, 1, 2, 0), (shape[1], shape[2], shape[0]), 1)
-    if len(shape) == 4 and shape[0] <= FRAMES:
-        for height, width, channels in ((1, 2, 3), (2, 3, 1)):
-            if large(height, width) and shape[channels] in CHANNELS:
-                size = (shape[height], shape[width], shape[0] * shape[channels])
-                return ImageLayout((0, height, width, channels), size, shape[0])
+    if len(shape) == 4:
+        for stack, height, width, channels in ((0, 1, 2, 3), (0, 2, 3, 1), (3, 0, 1, 2)):
+            few = shape[stack] <= FRAMES and shape[channels] in CHANNELS
+            if large(height, width) and few:
+                size = (shape[height], shape[width], shape[stack] * shape[channels])
+                return ImageLayout((stack, height, width, channels), size, shape[stack])
     return None

@@ -8,6 +8,7 @@ from ..config.envpool_tasks import gym
 from ..config.schema import EnvConfig
 from ..system.errors import ConfigError
 from .image_layout import LARGE, SMALL, ImageLayout, find_layout
+from .minigrid_reader import MiniGridReader
 
 UNBOUNDED = 1e6  # a larger bound counts as no bound
 PIXEL_RANGES = (255.0, 1.0)  # largest values of images
@@ -58,7 +59,13 @@ class ImageReader:
             f"image{where} {size}, {space.dtype} of 0 to {largest:g}, read as x / {largest:g}"
             f"{'' if largest == 255 else ', in 256 levels'}"
         )
+        self.seen = False  # whether an image was read
         self.doubts: list[str] = []
+        if len(space.shape) == 2 and np.issubdtype(space.dtype, np.floating):
+            self.doubts.append(
+                f"a matrix of shape {space.shape} is read as a gray image in 256 levels: for "
+                "numbers take env.observation=vector"
+            )
         if layout.stacked > 1:
             self.doubts.append(
                 f"{layout.stacked} stacked frames are read as {self.shape[-1]} channels, also by "
@@ -71,6 +78,15 @@ class ImageReader:
         if image.dtype == np.uint8 and self.largest == 255:
             return image
         scaled = np.asarray(image, np.float32) * np.float32(255 / self.largest)
+        if not np.isfinite(scaled).all():
+            raise ValueError("an image holds numbers that are not finite")
+        if not self.seen:
+            self.seen = True
+            if self.largest == 255 and np.issubdtype(image.dtype, np.floating) and image.max() <= 1:
+                self.doubts.append(
+                    f"the first image holds no number above {image.max():g}, and its bounds say "
+                    "255: for images of 0 to 1 take env.observation=image env.pixel_max=1"
+                )
         return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
 
@@ -98,24 +114,32 @@ class VectorReader:
         self.centre = ((low + high) / 2).astype(np.float32)
         self.half = np.where(high > low, (high - low) / 2, 1).astype(np.float32)
         self.shape, self.dtype = self.centre.shape, np.float32
-        free = int(unbounded.sum())
+        free, constant = int(unbounded.sum()), int((low == high).sum())
+        bounded = len(low) - free - constant
         parts = [
-            f"{len(low) - free} scaled from their bounds to [-1, 1]" * (free < len(low)),
+            f"{bounded} scaled from their bounds to [-1, 1]" * (bounded > 0),
+            f"{constant} constant and read as 0" * (constant > 0),
             f"{free} without bounds divided by their running deviation" * (free > 0),
         ]
         self.description = f"vector of {len(low)}, {', '.join(filter(None, parts))}"
-        self.doubts = [
-            f"{'.'.join(path) or 'the observation'} has the shape of an image, {leaf.shape} "
-            f"{leaf.dtype}, but is read as {int(np.prod(leaf.shape))} numbers: for an image take "
-            f"env.observation=image{self.needed_range(leaf)}"
-            for path, leaf in self.leaves
-            if isinstance(leaf, gym.spaces.Box) and find_layout(leaf.shape, LARGE)
-        ]
+        self.doubts = self.doubtful_images()
 
-    @staticmethod
-    def needed_range(space: Any) -> str:
-        """Return the option that gives the largest value of an image whose bounds do not."""
-        return "" if pixel_range(space) else " env.pixel_max=255 (or 1)"
+    def doubtful_images(self) -> list[str]:
+        """Return a line for each part that has the shape of an image, but is read as numbers."""
+        images = [(path, leaf) for path, leaf in self.leaves if image_layout(leaf, LARGE)]
+        if len(images) == 1:
+            _, leaf = images[0]
+            high = float(leaf.high.max())
+            known = f"{high:g}" if high < UNBOUNDED else "255 (or 1)"
+            more = "" if pixel_range(leaf) else f" env.pixel_max={known}"
+            advice = f"for an image take env.observation=image{more}"
+        else:
+            advice = "to read one as an image, give the task a wrapper that keeps only this"
+        return [
+            f"{'.'.join(path) or 'the observation'} has the shape of an image, {leaf.shape} "
+            f"{leaf.dtype}, but is read as {int(np.prod(leaf.shape))} numbers: {advice}"
+            for path, leaf in images
+        ]
 
     @staticmethod
     def bounds(space: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -132,7 +156,7 @@ class VectorReader:
         if not isinstance(space, gym.spaces.Box):
             raise ConfigError(
                 f"observations of {type(space).__name__} cannot be read; only Box, Discrete, "
-                "MultiBinary and Dict of these"
+                "MultiBinary and Dict of these, or with env.observation=image an image among others"
             )
         return space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
 
@@ -154,54 +178,21 @@ class VectorReader:
         return out
 
 
-class MiniGridReader:
-    """A reader of MiniGrid's view and the agent's direction as one-hot vectors.
-
-    They are one-hot because the numbers of a grid cell are categories. The mission is not read, so
-    information that only the mission contains (which of several objects) stays unknown.
-    """
-
-    unbounded: tuple[bool, ...] = ()
-    kinds = (11, 6, 4)  # numbers of objects, colours and states (of a door, or a direction)
-    doubts: tuple[str, ...] = ()
-
-    @staticmethod
-    def matches(space: Any, task: str) -> bool:
-        """Return True if the space is a MiniGrid view.
-
-        BabyAI has the same space, but is excluded, because its mission states the goal.
-        """
-        if not isinstance(space, gym.spaces.Dict) or "BabyAI" in task:
-            return False
-        image, direction = space.spaces.get("image"), space.spaces.get("direction")
-        small = (
-            isinstance(image, gym.spaces.Box) and image.shape[2:] == (3,) and image.shape[0] < 32
-        )
-        return small and isinstance(direction, gym.spaces.Discrete) and "mission" in space.spaces
-
-    def __init__(self, space: Any):
-        height, width, _ = space["image"].shape
-        self.directions = int(space["direction"].n)
-        self.shape = (height * width * sum(self.kinds) + self.directions,)
-        self.dtype = np.float32
-        self.description = (
-            f"cells {height}x{width} and the direction, one-hot, {self.shape[0]} numbers"
-        )
-
-    def read(self, observation: Any) -> np.ndarray:
-        image, direction = observation["image"], np.ravel(observation["direction"])
-        planes = [np.eye(n, dtype=np.float32)[image[..., k]] for k, n in enumerate(self.kinds)]
-        view = np.concatenate(planes, axis=-1).reshape(len(image), -1)
-        return np.concatenate([view, np.eye(self.directions, dtype=np.float32)[direction]], axis=1)
-
-
 Reader = ImageReader | VectorReader | MiniGridReader
+
+
+def image_layout(space: Any, side: int) -> ImageLayout | None:
+    """Return the layout of a space that has the shape of an image, or None.
+
+    Args:
+      space: any space.
+      side: the smallest height and width.
+    """
+    return find_layout(space.shape, side) if isinstance(space, gym.spaces.Box) else None
 
 
 def pixel_range(space: Any) -> float | None:
     """Return the largest value of an image, 255 or 1, from its bounds; None if they do not tell."""
-    if space.dtype == np.uint8:
-        return 255.0
     for largest in PIXEL_RANGES:
         if np.all(space.low == 0) and np.all(space.high == largest):
             return largest
@@ -221,7 +212,7 @@ def make_image_reader(space: Any, config: EnvConfig) -> ImageReader:
     images = [
         (path, leaf, layout)
         for path, leaf in leaf_spaces(space)
-        if isinstance(leaf, gym.spaces.Box) and (layout := find_layout(leaf.shape, SMALL))
+        if (layout := image_layout(leaf, SMALL))
     ]
     if len(images) != 1:
         raise ConfigError(
@@ -241,7 +232,7 @@ def make_image_reader(space: Any, config: EnvConfig) -> ImageReader:
 def make_reader(space: Any, config: EnvConfig) -> Reader:
     """Return the reader of a task's observations.
 
-    With env.observation=auto, a MiniGrid view is read as cells, one image whose values are 0 to 255
+    With env.observation=auto, a MiniGrid view is read as cells, one image whose bounds are 0 to 255
     or 0 to 1 as an image, and everything else as a vector.
 
     Args:
@@ -257,10 +248,15 @@ def make_reader(space: Any, config: EnvConfig) -> Reader:
     cells = MiniGridReader.matches(space, config.id)
     if how == "cells" and not cells:
         raise ConfigError(f"env.observation=cells: {config.id} has no view of MiniGrid's cells")
+    reader: Reader | None = None
     if cells and how != "vector":
-        return MiniGridReader(space)
-    if how == "auto" and isinstance(space, gym.spaces.Box):
-        layout, largest = find_layout(space.shape, LARGE), config.pixel_max or pixel_range(space)
-        if layout and largest:
-            return ImageReader((), space, layout, largest)
-    return VectorReader(space)
+        reader = MiniGridReader(space)
+    elif how == "auto" and (layout := image_layout(space, LARGE)):
+        largest = config.pixel_max or pixel_range(space)
+        reader = ImageReader((), space, layout, largest) if largest else None
+    if config.pixel_max is not None and not isinstance(reader, ImageReader):
+        raise ConfigError(
+            f"env.pixel_max: the observations of {config.id} are not read as an image; for the "
+            "image among them take env.observation=image"
+        )
+    return reader or VectorReader(space)

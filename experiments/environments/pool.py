@@ -34,7 +34,9 @@ def task_errors(task: str) -> Iterator[None]:
     """
     try:
         yield
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:  # of the user, where no handler is set
+        raise
+    except BaseException as error:
         raise TaskError(task, error) from error
 
 

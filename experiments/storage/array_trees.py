@@ -26,6 +26,10 @@ class CheckpointError(Exception):
     """The error for a checkpoint that differs from what was written, or does not fit."""
 
 
+class OtherArraysError(CheckpointError):
+    """The error of a checkpoint that is whole, but holds other arrays than are expected."""
+
+
 def write_tree(path: Path, tree: Any, manifest: dict[str, Any]) -> None:
     """Write a tree of arrays to the directory `path`, atomically.
 
@@ -113,7 +117,8 @@ def read_tree(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
       like: a pytree with the expected shapes and dtypes.
 
     Raises:
-      CheckpointError: the tree is not what was written, or does not match `like`.
+      CheckpointError: the tree is not what was written.
+      OtherArraysError: the tree does not match `like`.
     """
     manifest = verify_manifest(path)
     try:
@@ -124,7 +129,10 @@ def read_tree(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
     leaves = []
     for name, wanted in named_leaves(like):
         if describe_array(found.get(name)) != describe_array(wanted):
-            raise CheckpointError(mismatch_message(name, found.get(name), wanted))
+            key = name.rpartition("/")[2] == "key"
+            raise (CheckpointError if key else OtherArraysError)(
+                mismatch_message(name, found.get(name), wanted)
+            )
         leaves.append(found[name])
     return jax.tree.unflatten(jax.tree.structure(like), leaves), manifest
 

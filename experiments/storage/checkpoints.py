@@ -17,6 +17,7 @@ from sndjax import TrainState
 
 from .array_trees import (
     CheckpointError,
+    OtherArraysError,
     current_generator,
     other_generator,
     read_manifest,
@@ -164,7 +165,14 @@ class Checkpoints:
           CheckpointError: the checkpoint is not complete, has other shapes or dtypes, holds another
             iteration, or its random keys are of another generator.
         """
-        tree, manifest = read_tree(self.path / str(step), unwrapped_shapes(like))
+        try:
+            tree, manifest = read_tree(self.path / str(step), unwrapped_shapes(like))
+        except OtherArraysError as error:
+            raise CheckpointError(
+                f"checkpoint {step} is whole, but in this version the algorithm or the task has "
+                f"other arrays ({error}); CHANGELOG.md names such changes, and config.yaml the "
+                "revision that the run was made with"
+            ) from None
         here = current_generator()
         if manifest.get(GENERATOR, here) != here:  # two generators have keys of the same shape
             raise CheckpointError(other_generator(str(manifest[GENERATOR])))

@@ -29,16 +29,15 @@ active: "Interrupts | None" = None  # the one whose handlers this process has
 
 
 def restore_signals_in_child() -> None:
-    """Give a forked process, such as a worker of an environment, no part in these handlers.
+    """Give a forked process, such as a worker of an environment, the default handlers.
 
-    It gets the default handlers and a process group of its own, so that Ctrl-C in a terminal
-    reaches only this process, which stops its workers in order.
+    A signal to the whole group, as Ctrl-C in a terminal, ends it at once; the run takes the error
+    that follows for the signal it is, see `wait_for_signal`.
     """
     if active is not None:
         for number in active.previous:
             signal.signal(number, signal.SIG_DFL)
         signal.setitimer(signal.ITIMER_REAL, 0)
-        os.setpgid(0, 0)
 
 
 os.register_at_fork(after_in_child=restore_signals_in_child)

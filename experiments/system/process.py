@@ -9,6 +9,8 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
+from .errors import TaskError, print_error
+
 # Schedules an update's operations for low memory on a CPU: a third less
 # (1.84 GB of temporaries become 1.21 GB for snd_std on Atari). XLA aborts on an unknown
 # flag, so the flag is set only for the versions that it was tested with.
@@ -70,6 +72,8 @@ def run_script(main: Callable[[list[str]], int]) -> None:
     try:
         status = main(sys.argv[1:])
         sys.stdout.flush()
+    except TaskError as error:  # of a tool; a run says more
+        status = print_error(error, 1)
     except BrokenPipeError:  # the reader of the output closed the pipe
         status = 1
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

@@ -100,7 +100,7 @@ class RunLogger:
         try:
             return self.placement.put_states(self.checkpoints.load(self.found, like))
         except CheckpointError as error:
-            raise self.no_checkpoint_error(error) from None
+            raise ConfigError(f"resume={self.shared}: cannot be resumed: {error}") from None
 
     def open_tracker(self) -> None:
         """Open the tracker.

@@ -134,7 +134,6 @@ class Trainer:
         batch, info = self.collect()
         collected = time.monotonic()
         metrics, int_reward = self.learn(batch, info)
-        self.logged = False
         assert self.state is not None
         elapsed = time.monotonic() - begun
         times = {
@@ -234,8 +233,10 @@ class Trainer:
             )
             raise NonFiniteError(message)
         metrics.pop("state_finite", None)
+        int_reward = np.asarray(reward)
+        self.logged = False
         self.state = state
-        return metrics, np.asarray(reward)
+        return metrics, int_reward
 
     def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
         """Return a context in which a signal interrupts waiting, if this is the only host."""
@@ -267,7 +268,7 @@ class Trainer:
             if self.state is not None and self.logged:
                 self.logger.save(self.state)
             self.logger.flush()
-        except OSError as error:
+        except Exception as error:  # what ended the run is raised, not this
             self.progress.say(f"no checkpoint could be written: {error}")
 
 

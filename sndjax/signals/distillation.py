@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.convolution import to_float
-from sndjax.networks import Encoder
+from sndjax.networks import Encoder, match_dtype
 from sndjax.protocols import EncoderView, Signal
 from sndjax.rollout import map_over_time
 from sndjax.statistics import broadcast_mask, mask_rows
@@ -96,7 +96,8 @@ def apply_predictor(
       frames: observations.
       action: for predictors that take the action as input (QRND).
     """
-    return cast(tuple[Array, Array], predictor.apply(params, view.preprocess(frames), action))[0]
+    seen = match_dtype(view.preprocess(frames), params)
+    return cast(tuple[Array, Array], predictor.apply(params, seen, action))[0]
 
 
 def distillation(

@@ -69,22 +69,34 @@ def neighbour_distance(
 
         return lax.map(some, index.reshape(-1, EXACT_SLICE)).reshape(-1, k)
 
-    def slice_squares(index: Int[Array, " S"]) -> Float[Array, "S k"]:
+    def slice_squares(index: Int[Array, " S"]) -> tuple[Float[Array, "S k"], Bool[Array, ""]]:
         product = squares[None, :] - 2 * centred[index] @ centred.T  # less the row's own square
         candidate = valid[None, :] & (others[None, :] != index[:, None])
         score, nearest = lax.top_k(jnp.where(candidate, -product, -jnp.inf), k)
         found = jnp.sum((z[index][:, None] - z[nearest]) ** 2, axis=-1)
         there = jnp.isfinite(score)
-        blurred = found < rounding * (squares[index][:, None] + squares[nearest])
-        found = jnp.where(there, found, jnp.inf)
+        # A neighbour at distance 0 is nearest, however blurred it was.
+        blurred = (found > 0) & (found < rounding * (squares[index][:, None] + squares[nearest]))
         # With no more than k others, every one of them is a neighbour.
         choice = jnp.sum(valid) > k + 1
         unsure = choice & jnp.any(blurred & there & valid[index][:, None])
-        return lax.cond(unsure, exact_squares, lambda _: found, index)
+        return jnp.where(there, found, jnp.inf), unsure
 
     size = min(SLICE, rows + -rows % EXACT_SLICE)
     index = jnp.pad(others, (0, -rows % size)).reshape(-1, size)
-    squared = lax.map(slice_squares, index).reshape(-1, k)[:rows]
+    found, unsure = lax.map(slice_squares, index)
+    # A loop over the slices that need it: `cond` would search every slice twice under vmap.
+    order, count = jnp.argsort(~unsure), jnp.sum(unsure)
+
+    def refine(
+        carry: tuple[Int[Array, ""], Float[Array, "P S k"]],
+    ) -> tuple[Int[Array, ""], Float[Array, "P S k"]]:
+        i, found = carry
+        return i + 1, found.at[order[i]].set(exact_squares(index[order[i]]))
+
+    start = (jnp.zeros_like(count), found)
+    _, found = lax.while_loop(lambda carry: carry[0] < count, refine, start)
+    squared = found.reshape(-1, k)[:rows]
     there = jnp.isfinite(squared)
     distance = jnp.sqrt(jnp.where(there, squared, 0))
     if average:

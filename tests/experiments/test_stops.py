@@ -15,6 +15,7 @@ from experiments.config.compose import load_config
 from experiments.run import main
 from experiments.system import interrupts
 from experiments.system.interrupts import Interrupts
+from experiments.training import trainer
 
 TASK = """
 import os
@@ -103,6 +104,40 @@ def test_run_environment_that_cannot_be_reset_leaves_nothing(folder, capfd):
     assert not (folder / "run").exists()
 
 
+def test_run_error_after_an_update_leaves_no_checkpoint_of_another_iteration(
+    folder, capfd, monkeypatch
+):
+    """Fail while the rewards of the third update are read, before it is in the log."""
+    taken, real = [], trainer.nonfinite_terms
+
+    def fails(*arguments):
+        taken.append(1)
+        if len(taken) == 3:
+            raise MemoryError("of a test")
+        return real(*arguments)
+
+    monkeypatch.setattr(trainer, "nonfinite_terms", fails)
+    assert main([*RUN, "total_steps=512", "run_dir=run"]) == 1
+    err = capfd.readouterr().err
+    assert "stopped by MemoryError: of a test" in err
+    monkeypatch.undo()
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(str(folder))
+    command = shlex.split(err.partition("to resume: ")[2])
+    assert main(command[1:]) == 0
+    check_nothing_lost(folder / "run", 8)
+
+
+def test_run_error_between_state_and_log_saves_no_state(folder, capfd, monkeypatch):
+    def fails(*arguments):
+        raise MemoryError("of a test")
+
+    monkeypatch.setattr(trainer.RunLogger, "log", fails)
+    assert main([*RUN, "total_steps=512", "run_dir=run"]) == 1
+    assert "stopped by MemoryError" in capfd.readouterr().err
+    assert saved_iteration(folder / "run") == 0  # not the state after the first update
+
+
 def test_run_observation_that_is_not_finite_is_named(folder, capfd, monkeypatch):
     (folder / "nan").touch()
     assert main([*RUN, "total_steps=512", "run_dir=run"]) == 1
@@ -116,44 +151,53 @@ def test_run_observation_that_is_not_finite_is_named(folder, capfd, monkeypatch)
 MODULE = """
 import sndjax
 
-from sndjax import IntrinsicModule
-
 
 def make(num_actions, size):
     module = sndjax.rnd(num_actions, size)
 
     def loss(*args):
-        raise SystemExit(5)
+        {body}
 
     return module._replace(loss=loss)
 """
 
 
-def test_run_module_that_exits_is_named_and_leaves_a_checkpoint(folder, capfd):
-    (folder / "mine.py").write_text(MODULE)
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        ("raise SystemExit(5)", "stopped by SystemExit: 5"),
+        ("open('/nonexistent/weights.npy')", "stopped by FileNotFoundError"),
+    ],
+)
+def test_run_module_that_fails_is_named_and_leaves_a_checkpoint(folder, capfd, body, named):
+    (folder / "mine.py").write_text(MODULE.format(body=body))
     options = [o for o in RUN if not o.startswith("algo=")] + ["algo=module"]
     options += ["algo.module=mine.py:make", "algo.minibatch_size=32"]
     assert main([*options, "total_steps=512", "run_dir=run"]) == 1
     err = capfd.readouterr().err
-    assert "stopped by SystemExit: 5" in err
+    assert named in err
+    assert "cannot write" not in err
     assert 'mine.py", line' in err  # where
     assert re.search(r"to resume: \S+ resume=run algo.module=mine.py:make", err)
     assert any((folder / "run" / "checkpoints").iterdir())
 
 
-def test_Interrupts_forked_process_has_default_handlers_and_its_own_group():
+def test_Interrupts_forked_process_has_default_handlers_and_may_start_a_session():
     with Interrupts():
         reader, writer = os.pipe()
         child = os.fork()
         if child == 0:
             kinds = [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)]
-            own = os.getpgrp() == os.getpid()
-            os.write(writer, b"1" if own and kinds == [signal.SIG_DFL] * 3 else b"0")
+            os.setsid()  # as a daemon does
+            os.write(writer, b"1" if kinds == [signal.SIG_DFL] * 3 else b"0")
             os._exit(0)
         os.waitpid(child, 0)
         assert os.read(reader, 1) == b"1"
         os.close(reader)
         os.close(writer)
+        # A simulator that an environment starts, in ways that run the hook in the child.
+        for more in ({"preexec_fn": os.setsid}, {"preexec_fn": int, "start_new_session": True}):
+            assert subprocess.run(["true"], check=False, **more).returncode == 0
     assert interrupts.active is None
 
 

@@ -51,6 +51,16 @@ def test_neighbour_distance_tight_clusters_far_apart_is_exact(far):
     np.testing.assert_allclose(got, in_numpy(z, np.ones(300, bool), 3), rtol=1e-5)
 
 
+def test_neighbour_distance_under_vmap_and_with_duplicates_equals_brute_force():
+    rng = np.random.default_rng(0)
+    z = rng.normal(size=(2, 90, 4)).astype(np.float32)
+    z[0, 40:60] = z[0, :20]  # duplicates
+    z[1, 45:] = 1000 + 0.01 * rng.normal(size=(45, 4))  # a tight cluster far away
+    got = jax.vmap(lambda z: neighbour_distance(z, jnp.ones(90, bool), k=3))(jnp.asarray(z))
+    for one, rows in zip(got, z, strict=True):
+        np.testing.assert_allclose(one, in_numpy(rows, np.ones(90, bool), 3), rtol=1e-5)
+
+
 def test_re3_default_reward_does_not_depend_on_the_scale_of_features():
     rng = np.random.default_rng(0)
     made = rollout(VECTOR, rng)

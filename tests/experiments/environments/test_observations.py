@@ -30,6 +30,10 @@ def pixels(*shape, dtype=np.uint8, high=255):
         ((3, 84, 80), "chw", (84, 80, 3)),
         ((4, 84, 80, 3), "shwc", (84, 80, 12)),
         ((2, 3, 84, 80), "schw", (84, 80, 6)),
+        ((84, 80, 3, 4), "hwcs", (84, 80, 12)),
+        ((17, 84, 80, 3), "shwc", (84, 80, 51)),
+        ((64, 64, 64), "hwc", (64, 64, 64)),
+        ((40, 32, 32), "hwc", (40, 32, 32)),
     ],
 )
 def test_ImageReader_read_every_order_of_axes_is_height_width_channels(shape, axes, size):
@@ -65,6 +69,43 @@ def test_make_reader_doubtful_images_are_read_as_vectors_with_a_warning():
         assert hint in doubt
     assert reader(both).shape == (48 * 40 * 3 + 2,)
     assert not reader(Dict({"speed": Box(-1, 1, (2,), np.float32)})).doubts
+
+
+def test_make_reader_uint8_with_other_bounds_is_a_vector_with_a_hint():
+    """Read as x / 255, values of 0 to 10 would all be black."""
+    made = reader(pixels(64, 64, 3, high=10))
+    assert made.shape == (64 * 64 * 3,)
+    np.testing.assert_allclose(made.read(np.full((1, 64, 64, 3), 10, np.uint8)), 1)
+    assert "env.observation=image env.pixel_max=10" in made.doubts[0]
+    image = reader(pixels(64, 64, 3, high=10), observation="image", pixel_max=10.0)
+    np.testing.assert_array_equal(image.read(np.full((1, 64, 64, 3), 10, np.uint8)), 255)
+    black = reader(pixels(64, 64, 3, high=1))
+    np.testing.assert_array_equal(black.read(np.ones((1, 64, 64, 3), np.uint8)), 255)
+
+
+def test_make_reader_two_images_are_not_advised_to_be_one():
+    made = reader(Dict({"a": pixels(48, 40, 3), "b": pixels(48, 40, 3)}))
+    assert len(made.doubts) == 2
+    assert all("wrapper" in d and "observation=image" not in d for d in made.doubts)
+
+
+def test_make_reader_pixel_max_without_an_image_is_refused():
+    with pytest.raises(ConfigError, match="not read as an image"):
+        reader(Box(-1, 1, (4,), np.float32), pixel_max=128.0)
+
+
+def test_ImageReader_read_nan_is_refused_and_dark_floats_are_doubted():
+    made = reader(pixels(64, 64, 3, dtype=np.float32, high=1))
+    with pytest.raises(ValueError, match="not finite"):
+        made.read(np.full((1, 64, 64, 3), np.nan, np.float32))
+    dark = reader(pixels(64, 64, 3, dtype=np.float32))
+    assert not dark.doubts
+    for _ in range(2):
+        dark.read(np.full((1, 64, 64, 3), 0.9, np.float32))
+    assert len(dark.doubts) == 1
+    assert "env.pixel_max=1" in dark.doubts[0]
+    matrix = reader(Box(0, 1, (60, 40), np.float32))
+    assert "env.observation=vector" in matrix.doubts[0]
 
 
 def test_make_reader_observation_image_reads_the_one_image_alone():
@@ -135,6 +176,6 @@ def test_VectorReader_large_discrete_space_needs_memory_of_its_rows_alone():
     assert np.all(got[got != 1] == -1)
 
 
-@pytest.mark.parametrize("shape", [(4,), (7, 7, 3), (2, 3, 4, 5, 6), (31, 84, 3), (64, 64, 64)])
+@pytest.mark.parametrize("shape", [(4,), (7, 7, 3), (2, 3, 4, 5, 6), (31, 84, 3)])
 def test_find_layout_other_shapes_are_no_images(shape):
     assert find_layout(shape, 32) is None
