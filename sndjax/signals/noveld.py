@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.hashing import centre_features, random_projection, simhash_code
+from sndjax.hashing import random_projection, simhash_code
 from sndjax.networks import Encoder
 from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.distillation import (
@@ -18,10 +18,17 @@ from sndjax.signals.distillation import (
     rollout_distillation_error,
 )
 from sndjax.signals.prediction import encode_rollout
-from sndjax.statistics import init_running_statistics
+from sndjax.statistics import init_running_statistics, update_running_statistics
 from sndjax.types import Features, Params, Rollout, RunningStatistics
 
 Novelty = Literal["norm", "squared"]
+
+
+class EpisodeCentre(NamedTuple):
+    """What is subtracted from features before they are hashed."""
+
+    features: RunningStatistics
+    mean: Float[Array, "N d"]  # of each environment's episode: the running mean when it opened
 
 
 class NovelDState(NamedTuple):
@@ -29,7 +36,7 @@ class NovelDState(NamedTuple):
 
     projection: Float[Array, "d k"]  # of the hash
     visited: Bool[Array, "N K"]  # the codes that each environment's episode has seen, K = 2^k
-    features: RunningStatistics | None  # None where features are hashed as they are
+    centre: EpisodeCentre | None  # None where features are hashed as they are
 
 
 def first_visits(
@@ -64,6 +71,41 @@ def first_visits(
     rows = (code[:-1], code[1:], rollout.first, rollout.valid)
     visited, new = lax.scan(step, visited, rows)
     return new, visited
+
+
+def init_centre(envs: int, width: int) -> EpisodeCentre:
+    """Return the centre before any state was seen.
+
+    Args:
+      envs: N.
+      width: d.
+    """
+    return EpisodeCentre(
+        features=init_running_statistics((width,)), mean=jnp.zeros((envs, width), jnp.float32)
+    )
+
+
+def centre_by_episode(
+    z: Float[Array, "T1 N d"], centre: EpisodeCentre, rollout: Rollout
+) -> tuple[Float[Array, "T1 N d"], EpisodeCentre]:
+    """Subtract the running mean of features, for every episode that of when it opened.
+
+    One mean for the whole of an episode, so that no state of it has two codes, and is new twice.
+
+    Args:
+      z: features of s_0 ... s_T.
+      centre: before the rollout.
+      rollout: where episodes open, and which rows count.
+
+    Returns:
+      The centred features, and the centre after the rollout.
+    """
+    seen = update_running_statistics(centre.features, z[:-1], rollout.valid)
+    before = jnp.where(centre.features.samples > 0, centre.mean, seen.mean[None])
+    opened = jnp.cumsum(rollout.first & rollout.valid, axis=0, dtype=jnp.int32) > 0
+    opened = jnp.concatenate([opened, opened[-1:]])  # s_T belongs to the last row's episode
+    mean = jnp.where(opened[..., None], seen.mean[None, None], before[None])
+    return z - mean, EpisodeCentre(features=seen, mean=mean[-1])
 
 
 def noveld_reward(
@@ -107,7 +149,7 @@ def noveld(
       novelty: "norm" (the paper), or "squared": the distillation error, as the signal
         `distillation` has it. An alpha of 1/2 on squares is one of 0.71 on norms.
       num_hash_bits: k, of the hash.
-      centre: subtract the running mean of features before they are hashed, see `centre_features`.
+      centre: subtract the mean of features before they are hashed, see `centre_by_episode`.
       reward_reduction: of the distillation error, where `novelty` is "squared".
       loss_reduction: of the distillation.
       update_proportion: of the distillation.
@@ -131,7 +173,7 @@ def noveld(
         return params, NovelDState(
             projection=random_projection(key_hash, features.z.shape[-1], num_hash_bits),
             visited=jnp.zeros((example.shape[0], 2**num_hash_bits), bool),
-            features=init_running_statistics(features.z.shape[1:]) if centre else None,
+            centre=init_centre(example.shape[0], features.z.shape[-1]) if centre else None,
         )
 
     def reward(
@@ -143,10 +185,13 @@ def noveld(
     ) -> tuple[Float[Array, "T N"], NovelDState]:
         z = encode_rollout(view, rollout.frames)
         error = rollout_distillation_error(predictor, params, view, rollout.frames, z, reduction)
-        z, seen = centre_features(z, state.features, rollout.valid)
+        own = state.centre
+        if own is not None:
+            z, own = centre_by_episode(z, own, rollout)
         code = simhash_code(z, state.projection)
         new, visited = first_visits(state.visited, code, rollout)
-        return noveld_reward(error, new, alpha), state._replace(visited=visited, features=seen)
+        state = state._replace(visited=visited, centre=own)
+        return noveld_reward(error, new, alpha), state
 
     settings = {
         "alpha": alpha,

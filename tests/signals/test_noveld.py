@@ -5,8 +5,9 @@ from helpers.rollouts import KINDS, rollout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sndjax import make_module, noveld_reward
+from sndjax import EncoderView, Features, Rollout, make_module, noveld, noveld_reward
 from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
+from sndjax.signals.noveld import centre_by_episode, init_centre
 from sndjax.signals.noveld import first_visits as eager_first_visits
 
 first_visits = jax.jit(eager_first_visits)
@@ -79,10 +80,57 @@ def test_noveld_module_reward_is_gain_in_norm_of_distance_at_first_visits():
     before = make_module("vicreg", "noveld", VECTOR.actions, VECTOR.size, signal_options=options)
     _, plain = jax.jit(before.init)(jax.random.key(0), made.frames[0])
     reward, after = jax.jit(before.reward)(params, plain, made, jax.random.key(1))
-    assert after.signal.features is None
+    assert after.signal.centre is None
     novelty = (difference**2).mean(-1).reshape(9, 4)
     code = np.asarray(target) @ np.asarray(state.signal.projection) > 0
     names = np.unique(code, axis=0, return_inverse=True)[1].reshape(9, 4)
     new, _ = in_numpy(np.zeros((4, 36)), names, made)
     wanted = np.where(new, np.maximum(novelty[1:] - 0.5 * novelty[:-1], 0), 0)
     np.testing.assert_allclose(reward, wanted, rtol=1e-4, atol=1e-6)
+
+
+def test_centre_by_episode_random_rollouts_equals_a_loop():
+    """Subtract the mean of all valid states seen when the episode opened, one row at a time."""
+    rng = np.random.default_rng(3)
+    centre, seen, own = init_centre(4, 3), [], None
+    for _ in range(4):
+        made = rollout(VECTOR, rng)
+        z = (5 + rng.normal(size=(9, 4, 3))).astype(np.float32)
+        first, valid = np.asarray(made.first), np.asarray(made.valid)
+        seen.append(z[:-1][valid])
+        mean = np.concatenate(seen).mean(0)
+        own = np.tile(mean, (4, 1)) if own is None else own
+        got, centre = jax.jit(centre_by_episode)(jnp.asarray(z), centre, made)
+        for t in range(8):
+            for n in range(4):
+                if not valid[t, n]:
+                    continue
+                if first[t, n]:
+                    own[n] = mean
+                    np.testing.assert_allclose(got[t, n], z[t, n] - mean, rtol=1e-4, atol=1e-5)
+                np.testing.assert_allclose(
+                    got[t + 1, n], z[t + 1, n] - own[n], rtol=1e-4, atol=1e-5
+                )
+        np.testing.assert_allclose(centre.mean, own, rtol=1e-5)
+
+
+def test_noveld_states_of_one_long_episode_are_new_once():
+    """Walk over 64 states in four environments for 20 rollouts: at most 256 first visits."""
+    rng = np.random.default_rng(0)
+    states = 3 + rng.normal(size=(64, 16)).astype(np.float32)
+    view = EncoderView(lambda x: x, lambda frame, action=None: (frame, frame))
+    _, predictor = make_encoder_and_predictor(
+        OBJECTIVES["vicreg"], VECTOR.size, "elu", "asymmetric"
+    )
+    signal = noveld(predictor, alpha=0.0)
+    frames = jnp.asarray(states[:4])
+    example = Features(*4 * [jnp.zeros((1, 16))])
+    params, state = signal.init(jax.random.key(0), frames, example, 3)
+    no, visits = jnp.zeros((50, 4), bool), 0
+    read = jax.jit(lambda state, made: signal.reward(params, state, view, made, jax.random.key(0)))
+    for part in range(20):
+        walked = jnp.asarray(states[rng.integers(0, 64, (51, 4))])
+        rows = (no.at[0].set(part == 0), no, ~no)
+        reward, state = read(state, Rollout(walked, jnp.zeros((50, 4), jnp.int32), *rows))
+        visits += int((reward > 0).sum())
+    assert 230 < visits <= 256
