@@ -39,8 +39,8 @@ def add_to_ellipsoid(
         a = 1 / (1 + b)
 
     This is Potter's form of the Kalman filter's update (Potter, 1963). S S^T cannot lose its sign,
-    and S has half the digits of C^-1 to keep: the formula of Sherman and Morrison for C^-1 itself
-    ends in NaN after 10,000 states that are alike.
+    and S has half the digits of C^-1 to keep: over thousands of states that are alike, the formula
+    of Sherman and Morrison for C^-1 itself loses the bonus to rounding.
 
     Args:
       root: S of each environment.
