@@ -70,14 +70,20 @@ def update_policy(
     def minibatch(
         carry: tuple[Params, optax.OptState], index: Int[Array, " B"]
     ) -> tuple[tuple[Params, optax.OptState], Metrics]:
-        params, optimizer_state = carry
+        params, _ = carry
         seen = mask_rows(stacks(index), valid[index])
         rows = shard_rows((seen, *(c[index] for c in columns)))
         (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(params, *rows)
-        updates, moved = optimizer.update(gradient, optimizer_state, params)
         metrics |= {"ppo_loss": total, "grad_norm": optax.tree.norm(gradient)}
-        new = (optax.apply_updates(params, updates), moved)
-        return keep_without_rows(new, carry, valid[index]), metrics
+
+        def step(
+            carry: tuple[Params, optax.OptState],
+        ) -> tuple[Params, optax.OptState]:
+            params, optimizer_state = carry
+            updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
+            return optax.apply_updates(params, updates), optimizer_state
+
+        return step_with_rows(step, carry, valid[index]), metrics
 
     (policy, optimizer_state), metrics = lax.scan(
         minibatch, (state.policy, state.policy_optimizer), jnp.tile(index, (hyper.epochs, 1))
@@ -120,7 +126,7 @@ def update_intrinsic_module(
     def minibatch(
         carry: tuple[Params, optax.OptState, State], inputs: tuple[Array, PRNGKeyArray]
     ) -> tuple[tuple[Params, optax.OptState, State], Metrics]:
-        params, optimizer_state, module_state = carry
+        params, _, module_state = carry
         index, key = inputs
         batch = (
             gather_transitions(rollout, index)
@@ -130,11 +136,17 @@ def update_intrinsic_module(
         (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
             params, module_state, shard_rows(batch), rollout, key
         )
-        updates, moved = optimizer.update(gradient, optimizer_state, params)
-        params = optax.apply_updates(params, updates)
         metrics |= {"module_loss": total, "module_grad_norm": optax.tree.norm(gradient)}
-        new = (params, moved, module.update(params, module_state))
-        return keep_without_rows(new, carry, batch.valid), metrics
+
+        def step(
+            carry: tuple[Params, optax.OptState, State],
+        ) -> tuple[Params, optax.OptState, State]:
+            params, optimizer_state, module_state = carry
+            updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
+            params = optax.apply_updates(params, updates)
+            return params, optimizer_state, module.update(params, module_state)
+
+        return step_with_rows(step, carry, batch.valid), metrics
 
     start = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
     keys = jax.random.split(key_loss, index.shape[0])
@@ -145,18 +157,17 @@ def update_intrinsic_module(
     return state, mean_metrics(metrics)
 
 
-def keep_without_rows(new: Any, old: Any, valid: Bool[Array, " B"]) -> Any:
-    """Return what a minibatch moved, or what was before if none of its rows is valid.
+def step_with_rows(step: Callable[[Any], Any], carry: Any, valid: Bool[Array, " B"]) -> Any:
+    """Take an optimizer step, or none if no row of its minibatch is valid.
 
-    Its gradient is zero then, but Adam would still move the weights, by its momentum.
+    The gradient is zero then, but Adam would still move the weights, by its momentum.
 
     Args:
-      new: the pytree after the minibatch.
-      old: the pytree before it.
+      step: the optimizer step.
+      carry: the pytree that it moves.
       valid: the rows that count.
     """
-    some = jnp.any(valid)
-    return jax.tree.map(lambda new, old: jnp.where(some, new, old), new, old)
+    return lax.cond(jnp.any(valid), step, lambda carry: carry, carry)
 
 
 def mean_metrics(metrics: dict[str, Array]) -> Metrics:
