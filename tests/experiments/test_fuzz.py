@@ -18,6 +18,7 @@ from experiments.analysis import update_replay
 from experiments.config import validation as validate
 from experiments.config.saved import read_saved
 from experiments.run import main
+from experiments.sweeps import multirun
 from experiments.system.errors import ConfigError
 from experiments.training import trainer as training
 
@@ -71,12 +72,13 @@ def one_line(err):
 
 @pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.survival)])
 def test_main_generated_command_lines_leave_no_traceback(count, tmp_path, monkeypatch, capfd):
-    """Call main in this process; an accepted configuration is not trained."""
+    """Call main in this process; an accepted configuration or sweep is not trained."""
     monkeypatch.chdir(tmp_path)
     accepted = []
     monkeypatch.setattr(
         training, "train", lambda config, directory, interrupts: accepted.append(directory.path)
     )
+    monkeypatch.setattr(multirun, "launch", lambda *_: accepted.append(tmp_path) or "")
     draw, refused = random.Random(count), 0
     for _ in range(count):
         arguments = command(draw)
