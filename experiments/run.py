@@ -18,7 +18,7 @@ from .config.saved import CONFIG
 from .config.schema import Config
 from .config.tool_options import asks_for_help
 from .storage.run_directory import FollowerDirectory, RunDirectory
-from .system.errors import ConfigError, NonFiniteError, TaskError, print_error
+from .system.errors import ConfigError, NonFiniteError, TaskError, WriteError, print_error
 from .system.interrupts import Interrupted, Interrupts
 from .system.jax_settings import jax_problem
 from .system.process import configure_xla, run_script
@@ -43,7 +43,7 @@ def left_behind(directory: RunDirectory | FollowerDirectory | None, config: Conf
 
 def concerns_files(error: OSError, directory: RunDirectory | FollowerDirectory | None) -> bool:
     """Return True if an error is one of writing the run: of a full disk, or of one of its files."""
-    if error.errno in FULL:
+    if error.errno in FULL or isinstance(error, WriteError):
         return True
     named = [Path(str(name)) for name in (error.filename, error.filename2) if name is not None]
     if directory is None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from sndjax import TrainState
 
+from ..system.errors import WriteError
 from .array_trees import (
     CheckpointError,
     OtherArraysError,
@@ -90,13 +91,13 @@ class Checkpoints:
         """Wait until the pending checkpoint is completely on the disk.
 
         Raises:
-          OSError: the checkpoint could not be written.
+          WriteError: the checkpoint could not be written.
         """
         self.join()
         if self.error is not None:
             error, self.error = self.error, None
             cause = (str(error).strip() or type(error).__name__).splitlines()[0]
-            raise OSError(f"a checkpoint: {cause}{self.last_good_message()}") from error
+            raise WriteError(f"a checkpoint: {cause}{self.last_good_message()}") from error
 
     def join(self) -> None:
         """Wait until no write is running."""

@@ -18,6 +18,10 @@ class TaskError(Exception):
         super().__init__(f"the environment {task} failed: {what}{where}")
 
 
+class WriteError(OSError):
+    """An error of writing a run that was caught elsewhere and is raised again with more to say."""
+
+
 class NonFiniteError(Exception):
     """A number of a run that is not finite; its text names the number and the dump."""
 
