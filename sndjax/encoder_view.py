@@ -31,14 +31,14 @@ class Parts(NamedTuple):
 
     @property
     def needs_pairs(self) -> bool:
-        """True if a loss reads the features of s_t+1."""
+        """Return True if a loss reads the features of s_t+1."""
         return self.signal.needs_pairs or (
             self.objective is not None and self.objective.needs_pairs
         )
 
     @property
     def ema_decay(self) -> float | None:
-        """The decay of the objective's target networks; None without any."""
+        """Return the decay of the objective's target networks; None without any."""
         return None if self.objective is None else self.objective.ema_decay
 
 

@@ -148,7 +148,7 @@ class Encoder(nn.Module):
 
     @property
     def description(self) -> str:
-        """Its settings that differ between modules, for the `repr` of a module."""
+        """Return its settings that differ between modules, for the `repr` of a module."""
         text = f"activation={self.activation!r}, extra_activation={self.extra_activation!r}"
         return text + (", action_input=True" if self.num_actions else "")
 

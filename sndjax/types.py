@@ -71,12 +71,12 @@ class Transition(NamedTuple):
 
     @property
     def frame(self) -> Shaped[Array, "B *frame"]:
-        """The frame s_t of every row."""
+        """Return the frame s_t of every row."""
         return self.at_t(self.frames)
 
     @property
     def next_frame(self) -> Shaped[Array, "B *frame"]:
-        """The frame s_t+1 of every row."""
+        """Return the frame s_t+1 of every row."""
         return self.at_next(self.frames)
 
 

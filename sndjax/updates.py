@@ -1,6 +1,7 @@
 """The two halves of an iteration's learning: the PPO epochs, the intrinsic module's pass."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -76,13 +77,7 @@ def update_policy(
         (total, metrics), gradient = jax.value_and_grad(loss, has_aux=True)(params, *rows)
         metrics |= {"ppo_loss": total, "grad_norm": optax.tree.norm(gradient)}
 
-        def step(
-            carry: tuple[Params, optax.OptState],
-        ) -> tuple[Params, optax.OptState]:
-            params, optimizer_state = carry
-            updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
-            return optax.apply_updates(params, updates), optimizer_state
-
+        step = partial(optimizer_step, optimizer, gradient)
         return step_with_rows(step, carry, valid[index]), metrics
 
     (policy, optimizer_state), metrics = lax.scan(
@@ -142,8 +137,8 @@ def update_intrinsic_module(
             carry: tuple[Params, optax.OptState, State],
         ) -> tuple[Params, optax.OptState, State]:
             params, optimizer_state, module_state = carry
-            updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
-            params = optax.apply_updates(params, updates)
+            trained = (params, optimizer_state)
+            params, optimizer_state = optimizer_step(optimizer, gradient, trained)
             return params, optimizer_state, module.update(params, module_state)
 
         return step_with_rows(step, carry, batch.valid), metrics
@@ -155,6 +150,23 @@ def update_intrinsic_module(
         intrinsic=params, intrinsic_optimizer=optimizer_state, intrinsic_state=module_state
     )
     return state, mean_metrics(metrics)
+
+
+def optimizer_step(
+    optimizer: optax.GradientTransformation,
+    gradient: Params,
+    carry: tuple[Params, optax.OptState],
+) -> tuple[Params, optax.OptState]:
+    """Return parameters and optimizer state after a gradient step.
+
+    Args:
+      optimizer: what moves them.
+      gradient: in the parameters.
+      carry: parameters and optimizer state before it.
+    """
+    params, optimizer_state = carry
+    updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
+    return optax.apply_updates(params, updates), optimizer_state
 
 
 def step_with_rows(step: Callable[[Any], Any], carry: Any, valid: Bool[Array, " B"]) -> Any:

@@ -30,7 +30,7 @@ class States(NamedTuple):
 
     @property
     def follows(self) -> np.ndarray:
-        """The successor flags, bool[M - 1]: True where state m + 1 is the successor of state m."""
+        """Return whether state m + 1 is the successor of state m, bool[M - 1]."""
         return self.age[1:] > 0
 
     def cut(self, count: int) -> "States":

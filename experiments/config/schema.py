@@ -196,15 +196,15 @@ class Config:
 
     @property
     def rows(self) -> int:
-        """The number of rows that one seed collects in an iteration."""
+        """Return the number of rows that one seed collects in an iteration."""
         return self.num_envs * self.rollout_length
 
     @property
     def seeds(self) -> list[int]:
-        """The seed of each agent."""
+        """Return the seed of each agent."""
         return [self.seed + i for i in range(self.num_seeds)]
 
     @property
     def iterations(self) -> int:
-        """The number of iterations of the whole run."""
+        """Return the number of iterations of the whole run."""
         return -(-self.total_steps // self.rows)

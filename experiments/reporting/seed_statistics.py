@@ -55,17 +55,9 @@ def count_draws(drawn: np.ndarray) -> np.ndarray:
 
 
 def percentile_interval(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the 2.5% and the 97.5% quantile over the first axis, linear between two values.
-
-    They are those of `np.quantile`; one sort of all columns is three times as fast.
-    """
-    ordered = np.sort(found, axis=0)
-
-    def quantile(share: float) -> np.ndarray:
-        below, part = divmod(share * (len(ordered) - 1), 1)
-        return ordered[int(below)] * (1 - part) + ordered[int(below) + 1] * part
-
-    return quantile(0.025), quantile(0.975)
+    """Return the 2.5% and the 97.5% quantile over the first axis."""
+    low, high = np.quantile(found, [0.025, 0.975], axis=0)
+    return low, high
 
 
 def interquartile_mean(values: np.ndarray, axis: int = 0) -> np.ndarray:

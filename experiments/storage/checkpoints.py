@@ -60,11 +60,14 @@ class Checkpoints:
 
         Raises:
           OSError: the previous checkpoint could not be written.
+          CheckpointError: the state is that of another iteration.
         """
         self.wait()
         if not self.writes:
             self.newest = iteration
             return
+        if np.any(np.asarray(state.iteration) != iteration):
+            raise CheckpointError(f"the state is not that of iteration {iteration}")
         tree = jax.tree.map(np.array, unwrap_key(state))  # a copy: the buffers are reused
         more = more | {GENERATOR: str(jax.random.key_impl(state.key))}
         self.writer = threading.Thread(

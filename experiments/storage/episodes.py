@@ -103,7 +103,7 @@ class EpisodeSummary:
 
     @property
     def last100(self) -> float | None:
-        """The mean return of the last 100 episodes, or None before the first."""
+        """Return the mean return of the last 100 episodes, or None before the first."""
         return float(np.mean(self.last)) if self.last else None
 
     def figures(self) -> dict[str, float | int | None]:

@@ -36,7 +36,7 @@ class RunData(NamedTuple):
 
     @property
     def steps(self) -> int:
-        """The number of steps per seed so far."""
+        """Return the number of steps per seed so far."""
         counts = [int(seed.metrics["step"][-1]) for seed in self.seeds if "step" in seed.metrics]
         return max(counts, default=0)
 

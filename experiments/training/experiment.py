@@ -42,7 +42,7 @@ class Experiment(NamedTuple):
 
     @property
     def pool(self) -> Pool:
-        """The first pool. All pools have the same shapes, dtypes and actions."""
+        """Return the first pool. All pools have the same shapes, dtypes and actions."""
         return self.pools[0]
 
     def init_states(self) -> sndjax.TrainState:

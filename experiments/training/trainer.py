@@ -61,7 +61,6 @@ class Trainer:
         # None: not initialized yet, or donated to a running update.
         self.state: sndjax.TrainState | None = self.logger.load(self.experiment.state_shapes())
         self.update_seconds: float | None = None  # the expected time of an update
-        self.logged = True  # the state is that of the last iteration in the log
         self.logger.open_tracker()
 
     def train(self, interrupts: Interrupts) -> None:
@@ -150,7 +149,6 @@ class Trainer:
             info.room,
         )
         lines = logger.log(info, metrics, ended, times)
-        self.logged = True
         progress.iteration(mean_over_seeds(lines))
         for line in lines:
             for warning in self.monitors[line["seed"]].update(line):
@@ -225,7 +223,8 @@ class Trainer:
             raise
         self.update_seconds = time.monotonic() - begun
         metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
-        frames = batch.rollout.frames
+        # Of several hosts, none can read the frames of all.
+        frames = batch.rollout.frames if self.placement.hosts == 1 else None
         wrong = nonfinite_terms(self.seeds, info.reward, info.valid, metrics, frames)
         if wrong and self.config.on_nan == "stop":
             self.state, message = keep_failed_update(
@@ -233,10 +232,8 @@ class Trainer:
             )
             raise NonFiniteError(message)
         metrics.pop("state_finite", None)
-        int_reward = np.asarray(reward)
-        self.logged = False
         self.state = state
-        return metrics, int_reward
+        return metrics, np.asarray(reward)
 
     def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
         """Return a context in which a signal interrupts waiting, if this is the only host."""
@@ -261,11 +258,11 @@ class Trainer:
     def save_before_leaving(self) -> None:
         """Save a checkpoint of the last logged iteration.
 
-        None is saved if an interrupted update has its memory, or if its log could not be written.
+        None is saved if an interrupted update has its memory, or the state is newer than the log.
         """
         self.progress.phase("saving")
         try:
-            if self.state is not None and self.logged:
+            if self.state is not None:
                 self.logger.save(self.state)
             self.logger.flush()
         except Exception as error:  # what ended the run is raised, not this

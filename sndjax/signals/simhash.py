@@ -5,10 +5,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.hashing import centre_features, random_projection, simhash_code
+from sndjax.hashing import random_projection, simhash_code
 from sndjax.protocols import EncoderView, Signal
 from sndjax.signals.prediction import encode_rollout
-from sndjax.statistics import init_running_statistics
+from sndjax.statistics import init_running_statistics, update_running_statistics
 from sndjax.types import (
     Features,
     Loss,
@@ -52,7 +52,8 @@ def simhash(num_hash_bits: int = 16, *, centre: bool = True) -> Signal:
 
     Args:
       num_hash_bits: k, of the hash.
-      centre: subtract the running mean of features before they are hashed, see `centre_features`.
+      centre: subtract the running mean of features before they are hashed. Features of pixels share
+        a large mean, and with it most states have the same signs.
 
     >>> simhash()
     simhash(num_hash_bits=16, centre=True)
@@ -79,7 +80,10 @@ def simhash(num_hash_bits: int = 16, *, centre: bool = True) -> Signal:
         key: PRNGKeyArray,
     ) -> tuple[Float[Array, "T N"], SimHashState]:
         z = encode_rollout(view, rollout.frames[:-1])
-        z, seen = centre_features(z, state.features, rollout.valid)
+        seen = state.features
+        if seen is not None:
+            seen = update_running_statistics(seen, z, rollout.valid)
+            z = z - seen.mean[None, None]
         code = simhash_code(z, state.projection)
         counts = add_counts(state.counts, code.reshape(-1), rollout.valid.reshape(-1))
         novelty = 1 / jnp.sqrt(jnp.maximum(counts[code], 1))

@@ -129,13 +129,19 @@ def test_run_error_after_an_update_leaves_no_checkpoint_of_another_iteration(
 
 
 def test_run_error_between_state_and_log_saves_no_state(folder, capfd, monkeypatch):
+    """Fail before the third update is in the log: its state belongs to no logged iteration."""
+    taken, real = [], trainer.RunLogger.log
+
     def fails(*arguments):
-        raise MemoryError("of a test")
+        taken.append(1)
+        if len(taken) == 3:
+            raise MemoryError("of a test")
+        return real(*arguments)
 
     monkeypatch.setattr(trainer.RunLogger, "log", fails)
     assert main([*RUN, "total_steps=512", "run_dir=run"]) == 1
     assert "stopped by MemoryError" in capfd.readouterr().err
-    assert saved_iteration(folder / "run") == 0  # not the state after the first update
+    assert saved_iteration(folder / "run") == 0  # the checkpoint before the first update
 
 
 def test_run_observation_that_is_not_finite_is_named(folder, capfd, monkeypatch):

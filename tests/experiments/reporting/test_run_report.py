@@ -1,8 +1,10 @@
 import csv
+import itertools
 import json
 import re
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -259,6 +261,27 @@ def test_report_many_runs_parses_and_compares_little(tmp_path, monkeypatch):
     assert len(compared) == 6  # one for each cell of the table, for all of its resamples
     with (tmp_path / "out" / "seeds.csv").open(newline="") as file:
         assert [row["seeds"] for row in csv.DictReader(file)] == ["8"] * 3
+
+
+@pytest.mark.exhaustive
+def test_report_five_hundred_runs_is_written_within_a_minute(tmp_path):
+    """Report ten algorithms on ten tasks, five seeds of 1,000 episodes and 250 iterations each."""
+    tasks = ["Venture", "Gravitar", "Pitfall", "Solaris", "PrivateEye", "MontezumaRevenge"]
+    tasks += ["Climber", "Jumper", "Coinrun", "Caveflyer"]
+    algorithms = ["ppo", "rnd", "icm", "sp", "snd_v", "snd_std", "snd_vic", "snd_vinv"]
+    algorithms += ["snd_barlow", "snd_byol"]
+    rng, steps = np.random.default_rng(0), np.linspace(500, 250 * 128, 1000).astype(int)
+    for task, algo, seed in itertools.product(tasks, algorithms, range(5)):
+        values = np.round(rng.random((2, 1000)), 3)
+        episodes = {seed: list(zip(steps.tolist(), *values.tolist(), strict=True))}
+        novelty = {seed: rng.random(250).round(3).tolist()}
+        options = [f"env={task}", f"algo={algo}", f"seed={seed}"]
+        made(tmp_path / "runs" / task / algo / str(seed), options, episodes, novelty)
+    begun = time.monotonic()
+    assert main([str(tmp_path / "runs"), f"out={tmp_path / 'out'}"]) == 0
+    seconds = time.monotonic() - begun
+    print(f"500 runs in {seconds:.0f} s")
+    assert seconds < 60
 
 
 def test_report_environment_name_with_slashes_stays_inside_out(runs, tmp_path):

@@ -107,7 +107,7 @@ def test_Checkpoints_resumed_later_checkpoints_are_removed(state, tmp_path):
     (tmp_path / "checkpoints" / "20" / "manifest.json").write_text("{")
     checkpoints = Checkpoints(tmp_path)
     assert checkpoints.find(fits)[0] == 10
-    checkpoints.save(15, state, {})
+    checkpoints.save(15, state._replace(iteration=state.iteration + 15), {})
     checkpoints.wait()
     assert checkpoints.steps() == [10, 15]
 
@@ -189,11 +189,17 @@ def test_Checkpoints_find_all_damaged_raises(state, tmp_path):
 
 
 def test_Checkpoints_load_state_of_another_iteration_is_refused(state, tmp_path):
-    checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(7, state, {})
-    checkpoints.wait()
+    saved(tmp_path, state, [7])
+    (tmp_path / "checkpoints" / "7").rename(tmp_path / "checkpoints" / "8")
     with pytest.raises(CheckpointError, match="of another iteration"):
         restore(tmp_path, state)
+
+
+def test_Checkpoints_save_state_of_another_iteration_is_refused(state, tmp_path):
+    checkpoints = saved(tmp_path, state, [1])
+    with pytest.raises(CheckpointError, match="not that of iteration 2"):
+        checkpoints.save(2, state._replace(iteration=state.iteration + 3), {})
+    assert checkpoints.steps() == [1]
 
 
 def test_Checkpoints_steps_directory_without_a_number_is_ignored(state, tmp_path):
@@ -228,7 +234,7 @@ def test_Checkpoints_wait_failed_save_raises_and_keeps_the_previous(state, tmp_p
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(array_trees, "fsync_path", full)
-    checkpoints.save(2, state, {})
+    checkpoints.save(2, state._replace(iteration=state.iteration + 2), {})
     with pytest.raises(OSError, match=r"No space left.*the checkpoint of iteration 1 is intact"):
         checkpoints.wait()
     monkeypatch.undo()
