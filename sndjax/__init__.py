@@ -26,6 +26,13 @@ from sndjax.algorithms import (
     sp_vinv,
 )
 from sndjax.checks import check_rollout
+from sndjax.collecting import (
+    JaxEnvironment,
+    LiveEnvironments,
+    collect,
+    init_environments,
+    step_environments,
+)
 from sndjax.grid import ObjectiveRecipe, make_module, make_module_from_recipe
 from sndjax.guard import all_finite, skip_nonfinite
 from sndjax.intrinsic_module import IntrinsicModule
@@ -100,6 +107,8 @@ __all__ = [
     "Hyperparameters",
     "IntrinsicConfig",
     "IntrinsicModule",
+    "JaxEnvironment",
+    "LiveEnvironments",
     "Loss",
     "ModuleParams",
     "ModuleState",
@@ -123,6 +132,7 @@ __all__ = [
     "byol_distance",
     "check_rollout",
     "clipped_surrogate",
+    "collect",
     "contrastive",
     "contrastive_loss",
     "disagreement",
@@ -135,6 +145,7 @@ __all__ = [
     "gather_transitions",
     "generalized_advantage",
     "icm",
+    "init_environments",
     "init_train_state",
     "inverse_dynamics",
     "inverse_dynamics_loss",
@@ -169,6 +180,7 @@ __all__ = [
     "sp_vinv",
     "st_dim",
     "st_dim_loss",
+    "step_environments",
     "vicreg",
     "vicreg_inverse",
     "vicreg_loss",

@@ -6,7 +6,7 @@ Shapes are named as in `sndjax/types.py`; a module is `sndjax/intrinsic_module.p
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
@@ -236,6 +236,36 @@ class Signal(NamedTuple):
 
     def __repr__(self) -> str:
         return describe_call(self.name, self.settings)
+
+
+@runtime_checkable
+class EnvironmentReset(Protocol):
+    """How an environment that lives in JAX begins an episode."""
+
+    def __call__(self, key: PRNGKeyArray) -> tuple[State, Shaped[Array, "*frame"]]:
+        """Return the state and the observation at the start of an episode.
+
+        Args:
+          key: of the random draws.
+        """
+
+
+@runtime_checkable
+class EnvironmentStep(Protocol):
+    """How an environment that lives in JAX takes one step."""
+
+    def __call__(
+        self, key: PRNGKeyArray, state: State, action: Int[Array, ""]
+    ) -> tuple[State, Shaped[Array, "*frame"], Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
+        """Return state, observation, reward, whether the task ended the episode, or a limit.
+
+        The observation is that of the state after the step, at an episode's end too.
+
+        Args:
+          key: of the random draws.
+          state: before the step.
+          action: 0 to A - 1.
+        """
 
 
 def describe_call(name: str, settings: Mapping[str, Any]) -> str:
