@@ -91,7 +91,7 @@ def code_options(config: Config) -> list[str]:
     found = []
     if config.algo.module is not None:
         found.append(option_text("algo.module", config.algo.module))
-    if config.env.suite == "gymnasium" and ":" in config.env.id:
+    if config.env.suite in ("gymnasium", "jax") and ":" in config.env.id:
         found.append(option_text("env.id", config.env.id))
     return found
 

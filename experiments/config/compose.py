@@ -1,7 +1,5 @@
 """Composition of a validated `Config` from the command line, without importing jax."""
 
-from pathlib import Path
-
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -11,11 +9,20 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
+from .jax_suites import JAX_SUITES, check_installed
 from .library import algorithm_table
 from .overrides import parse_overrides
 from .saved import config_schema, innermost_reason, load_repeated, load_resumed, load_resumed_or_new
 from .schema import OBJECTIVES, Config
-from .validation import CONF, GENERIC_ENVS, GROUPS, group_choices, validate_config
+from .user_function import split_reference
+from .validation import (
+    CONF,
+    GENERIC_ENVS,
+    GROUPS,
+    OTHER_SUITES,
+    group_choices,
+    validate_config,
+)
 
 
 def load_config(arguments: list[str]) -> Config:
@@ -52,7 +59,7 @@ def compose_config(overrides: dict[str, Override]) -> Config:
     lines = [override_line(override) for override in overrides.values()]
     lines += task_lines(overrides)
     if "algo.module" in overrides:
-        lines.append(f"algo.name={function_name(str(overrides['algo.module'].value()))}")
+        lines.append(f"algo.name={module_name(str(overrides['algo.module'].value()))}")
     register_configs()
     try:
         with initialize_config_dir(str(CONF.resolve()), version_base="1.3"):
@@ -90,11 +97,12 @@ def task_lines(overrides: dict[str, Override]) -> list[str]:
     env = str(overrides["env"].value())
     if env in GENERIC_ENVS and "env.id" not in overrides:
         raise ConfigError(f"env={env} needs a task, such as env.id={GENERIC_ENVS[env]}")
-    for key in ("env.id", "env.suite"):
-        if key in overrides and env not in GENERIC_ENVS:
-            raise ConfigError(
-                f"{key}: env={env} has a fixed task; use env=envpool or env=gymnasium"
-            )
+    suite = str(overrides["env.suite"].value()) if "env.suite" in overrides else None
+    given = {"env.id": env not in GENERIC_ENVS and "env.id" in overrides}
+    given["env.suite"] = suite is not None and suite not in known_suites(env)
+    for key in [key for key, wrong in given.items() if wrong]:
+        raise ConfigError(f"{key}: env={env} has a fixed task; use env=envpool or env=gymnasium")
+    check_installed(suite or env)
     task = str(overrides["env.id"].value()) if "env.id" in overrides else ""
     of_module = env == "MiniGrid" and ":" in task  # minigrid's task, made by gymnasium
     if env == "MiniGrid" and not task.rpartition(":")[2].startswith("MiniGrid-"):
@@ -104,13 +112,22 @@ def task_lines(overrides: dict[str, Override]) -> list[str]:
     lines = []
     if of_module and "env.suite" not in overrides:
         lines.append("env.suite=gymnasium")
-    if task and env != "gymnasium" and not of_module:
+    if env == "jax":
+        split_reference("env.id", task)
+    if task and env in ("envpool", "MiniGrid") and not of_module:
         from .envpool_tasks import family_of  # imports envpool
 
         family = family_of(task)
         if env == "envpool":
             lines.append(f"family@env={family}")
     return lines
+
+
+def known_suites(env: str) -> tuple[str, ...]:
+    """Return the suites that `env.suite=` may name for an environment."""
+    if env in JAX_SUITES:
+        return (env,)
+    return OTHER_SUITES.get(env, ("envpool", "gymnasium") if env in GENERIC_ENVS else ())
 
 
 def check_algorithm(overrides: dict[str, Override]) -> None:
@@ -145,21 +162,17 @@ def check_algorithm(overrides: dict[str, Override]) -> None:
                 raise ConfigError(f"algo.{key}: set it inside the function that algo.module names")
 
 
-def function_name(module: str) -> str:
-    """Return the name of the function in FILE.py:FUNCTION.
+def module_name(reference: str) -> str:
+    """Return the name of the algorithm that FILE.py:FUNCTION makes: that of the function.
 
     Raises:
       ConfigError: the text has another form, the file does not exist, or the name is that of an
         algorithm.
     """
-    path, colon, name = module.rpartition(":")
-    if not (colon and path.endswith(".py") and name.isidentifier()):
-        raise ConfigError(f"algo.module={module}: write FILE.py:FUNCTION")
-    if not Path(path).is_file():
-        raise ConfigError(f"algo.module={module}: there is no file {path}")
+    _, name = split_reference("algo.module", reference)
     if name in group_choices("algo"):
         raise ConfigError(
-            f"algo.module={module}: {name} is the name of an algorithm; choose another name"
+            f"algo.module={reference}: {name} is the name of an algorithm; choose another name"
         )
     return name
 

@@ -29,7 +29,16 @@ from .validation import (
 CONFIG = "config.yaml"
 MADE_WITH = "made_with"
 # Options that may change when a run is resumed.
-CHANGEABLE = ("total_steps", "resume", "repeat", "run_dir", "tracker", "group", "distributed")
+CHANGEABLE = (
+    "total_steps",
+    "resume",
+    "repeat",
+    "run_dir",
+    "tracker",
+    "group",
+    "distributed",
+    "iterations_per_call",
+)
 
 
 class SavedConfig(NamedTuple):

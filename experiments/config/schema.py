@@ -6,6 +6,7 @@ from typing import Any
 
 from omegaconf import MISSING
 
+from .jax_suites import JAX_SUITES
 from .library import module_names
 
 OBJECTIVES = ("none", *module_names("objectives"))
@@ -44,7 +45,9 @@ class EnvConfig:
     name: str = option(MISSING, "the name that results are stored under")
     id: str = option(MISSING, "the task (with env=envpool, env=gymnasium or env=MiniGrid)")
     suite: str = option(
-        "envpool", "the library that makes the task", choices=("envpool", "gymnasium")
+        "envpool",
+        "the library that makes the task; all but the first two live in JAX",
+        choices=("envpool", "gymnasium", *JAX_SUITES),
     )
     stack: int = option(1, "number of newest frames that the policy sees", low=1, high=16)
     repeat_first: bool = option(
@@ -166,6 +169,13 @@ class Config:
     )
     seed: int = option(0, "the first seed", low=0, high=2**31 - 1)
     num_seeds: int = option(1, "agents trained side by side: seed, seed + 1, ...", low=1, high=1024)
+    iterations_per_call: int | None = option(
+        None,
+        "with environments in JAX, iterations in one call of the compiled program; default: as "
+        "many as take about a second",
+        low=1,
+        high=65536,
+    )
     num_envs: int = option(128, "environments per seed", low=1, high=65536)
     rollout_length: int = option(128, "steps per iteration and environment", low=1, high=65536)
     total_steps: int = option(

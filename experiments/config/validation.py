@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..system.errors import ConfigError
+from .jax_suites import JAX_SUITES
 from .library import algorithm_table, has_forward_model, has_predictor
 from .other_names import other_name_hint
 from .schema import Config
@@ -20,7 +21,10 @@ GENERIC_ENVS = {  # environments whose task is given by env.id=, with an example
     "envpool": "Pong-v5",
     "gymnasium": "CartPole-v1",
     "MiniGrid": "MiniGrid-DoorKey-8x8-v0",
+    **{name: suite.example for name, suite in JAX_SUITES.items()},
 }
+# Environments whose task another suite has too.
+OTHER_SUITES = {"MountainCar": ("envpool", "gymnasium", "gymnax")}
 
 
 def group_choices(group: str) -> dict[str, str]:

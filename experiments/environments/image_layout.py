@@ -1,8 +1,6 @@
 """The order of the axes of an image, found from its shape."""
 
-from typing import NamedTuple
-
-import numpy as np
+from typing import Any, NamedTuple
 
 LARGE = 32  # from so many pixels a side on, an array of this shape is taken for an image
 SMALL = 8  # the smallest side of what can be read as an image
@@ -24,14 +22,15 @@ class ImageLayout(NamedTuple):
     shape: tuple[int, int, int]
     stacked: int
 
-    def apply(self, array: np.ndarray) -> np.ndarray:
-        """Return the images of an array [B, ...]."""
+    def apply(self, array: Any) -> Any:
+        """Return the images of an array [B, ...] of NumPy or of jax."""
+        xp = array.__array_namespace__()
         missing = [i for i, axis in enumerate(self.order) if axis < 0]
         array = array.transpose(0, *(axis + 1 for axis in self.order if axis >= 0))
-        array = np.expand_dims(array, tuple(i + 1 for i in missing))  # [B, S, H, W, C]
+        array = xp.expand_dims(array, tuple(i + 1 for i in missing))  # [B, S, H, W, C]
         if self.stacked == 1:
             return array[:, 0]
-        return np.moveaxis(array, 1, 3).reshape(len(array), *self.shape)
+        return xp.moveaxis(array, 1, 3).reshape(len(array), *self.shape)
 
 
 def find_layout(shape: tuple[int, ...], side: int) -> ImageLayout | None:

@@ -41,8 +41,11 @@ class MiniGridReader:
             f"cells {height}x{width} and the direction, one-hot, {self.shape[0]} numbers"
         )
 
-    def read(self, observation: Any) -> np.ndarray:
-        image, direction = observation["image"], np.ravel(observation["direction"])
-        planes = [np.eye(n, dtype=np.float32)[image[..., k]] for k, n in enumerate(self.kinds)]
-        view = np.concatenate(planes, axis=-1).reshape(len(image), -1)
-        return np.concatenate([view, np.eye(self.directions, dtype=np.float32)[direction]], axis=1)
+    def read(self, observation: Any) -> Any:
+        image, direction = observation["image"], observation["direction"]
+        xp = image.__array_namespace__()
+        kinds = enumerate(self.kinds)
+        planes = [xp.eye(n, dtype=np.float32)[image[..., k]] for k, n in kinds]
+        view = xp.concatenate(planes, axis=-1).reshape(len(image), -1)
+        facing = xp.eye(self.directions, dtype=np.float32)[direction.reshape(-1)]
+        return xp.concatenate([view, facing], axis=1)

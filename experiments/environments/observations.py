@@ -22,11 +22,11 @@ def leaf_spaces(space: Any, path: Path = ()) -> list[tuple[Path, Any]]:
     return [(path, space)]
 
 
-def leaf_value(observation: Any, path: Path) -> np.ndarray:
-    """Return the part of an observation that a path leads to."""
+def leaf_value(observation: Any, path: Path) -> Any:
+    """Return the part of an observation that a path leads to, an array of NumPy or of jax."""
     for key in path:
         observation = observation[key]
-    return np.asarray(observation)
+    return observation if hasattr(observation, "__array_namespace__") else np.asarray(observation)
 
 
 class ImageReader:
@@ -73,21 +73,36 @@ class ImageReader:
                 f"its stack and env.stack={layout.stacked}"
             )
 
-    def read(self, observation: Any) -> np.ndarray:
+    def read(self, observation: Any) -> Any:
         image = self.layout.apply(leaf_value(observation, self.path))
         if image.dtype == np.uint8 and self.largest == 255:
             return image
-        scaled = np.asarray(image, np.float32) * np.float32(255 / self.largest)
+        xp = image.__array_namespace__()
+        scaled = image.astype(np.float32) * np.float32(255 / self.largest)
+        if isinstance(image, np.ndarray):
+            self.check_numbers(image, scaled)
+        return xp.clip(xp.rint(scaled), 0, 255).astype(np.uint8)
+
+    def check_numbers(self, image: np.ndarray, scaled: np.ndarray) -> None:
+        """Check the numbers of images; the first of a run may show that its bounds are wrong.
+
+        Args:
+          image: the images as they were given.
+          scaled: with 255 for white.
+
+        Raises:
+          ValueError: a number is not finite.
+        """
         if not np.isfinite(scaled).all():
             raise ValueError("an image holds numbers that are not finite")
-        if not self.seen:
-            self.seen = True
-            if self.largest == 255 and np.issubdtype(image.dtype, np.floating) and image.max() <= 1:
-                self.doubts.append(
-                    f"the first image holds no number above {image.max():g}, and its bounds say "
-                    "255: for images of 0 to 1 take env.observation=image env.pixel_max=1"
-                )
-        return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+        if self.seen:
+            return
+        self.seen = True
+        if self.largest == 255 and np.issubdtype(image.dtype, np.floating) and image.max() <= 1:
+            self.doubts.append(
+                f"the first image holds no number above {image.max():g}, and its bounds say "
+                "255: for images of 0 to 1 take env.observation=image env.pixel_max=1"
+            )
 
 
 class VectorReader:
@@ -114,9 +129,15 @@ class VectorReader:
         self.centre = ((low + high) / 2).astype(np.float32)
         self.half = np.where(high > low, (high - low) / 2, 1).astype(np.float32)
         self.shape, self.dtype = self.centre.shape, np.float32
+        codes = sum(
+            size
+            for (_, leaf), size in zip(self.leaves, self.sizes, strict=True)
+            if isinstance(leaf, gym.spaces.MultiDiscrete)
+        )
         free, constant = int(unbounded.sum()), int((low == high).sum())
-        bounded = len(low) - free - constant
+        bounded = len(low) - free - constant - codes
         parts = [
+            f"{codes} that are categories, one-hot" * (codes > 0),
             f"{bounded} scaled from their bounds to [-1, 1]" * (bounded > 0),
             f"{constant} constant and read as 0" * (constant > 0),
             f"{free} without bounds divided by their running deviation" * (free > 0),
@@ -150,32 +171,46 @@ class VectorReader:
         """
         if isinstance(space, gym.spaces.Discrete):  # one-hot
             return -np.ones(int(space.n)), np.ones(int(space.n))
+        if isinstance(space, gym.spaces.MultiDiscrete):  # one-hot, of 0 and 1
+            size = int(space.nvec.sum())
+            return -np.ones(size), np.ones(size)
         if isinstance(space, gym.spaces.MultiBinary):
             size = int(np.prod(space.shape))
             return np.zeros(size), np.ones(size)
         if not isinstance(space, gym.spaces.Box):
             raise ConfigError(
                 f"observations of {type(space).__name__} cannot be read; only Box, Discrete, "
-                "MultiBinary and Dict of these, or with env.observation=image an image among others"
+                "MultiDiscrete, MultiBinary and Dict of these, or with env.observation=image an "
+                "image among others"
             )
         return space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
 
-    def read(self, observation: Any) -> np.ndarray:
+    def read(self, observation: Any) -> Any:
         values = [leaf_value(observation, path) for path, _ in self.leaves]
-        out = np.empty((len(values[0]), *self.shape), np.float32)
-        start = 0
-        for value, (_, space), size in zip(values, self.leaves, self.sizes, strict=True):
-            part = out[:, start : start + size]
-            if isinstance(space, gym.spaces.Discrete):
-                part[:] = -1.0
-                index = value.reshape(len(value)) - int(space.start)
-                part[np.arange(len(value)), index] = 1.0
-            else:
-                part[:] = value.reshape(len(value), -1)
-            start += size
-        out -= self.centre
-        out /= self.half
-        return out
+        xp = values[0].__array_namespace__()
+        parts = [
+            self.read_part(value, space)
+            for value, (_, space) in zip(values, self.leaves, strict=True)
+        ]
+        return (xp.concatenate(parts, axis=1) - self.centre) / self.half
+
+    @staticmethod
+    def read_part(value: Any, space: Any) -> Any:
+        """Return a part of observations [B, ...] as vectors, float32[B, D].
+
+        Args:
+          value: an array of NumPy or of jax.
+          space: its space.
+        """
+        value = value.reshape(len(value), -1)
+        if isinstance(space, gym.spaces.Discrete):
+            here = value - int(space.start) == np.arange(int(space.n))
+            return here.astype(np.float32) * 2 - 1
+        if isinstance(space, gym.spaces.MultiDiscrete):
+            sizes, start = space.nvec.ravel(), space.start.ravel()
+            codes = np.concatenate([np.arange(n) for n in sizes]) + np.repeat(start, sizes)
+            return (value[:, np.repeat(np.arange(len(sizes)), sizes)] == codes).astype(np.float32)
+        return value.astype(np.float32)
 
 
 Reader = ImageReader | VectorReader | MiniGridReader

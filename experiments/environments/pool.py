@@ -40,6 +40,20 @@ def task_errors(task: str) -> Iterator[None]:
         raise TaskError(task, error) from error
 
 
+def training_reward(config: EnvConfig, reward: Any, terminated: Any) -> Any:
+    """Return the reward that is learned from, an array of NumPy or of jax.
+
+    Args:
+      config: the task, with the kind of reward.
+      reward: of the task.
+      terminated: whether the task ended the episode.
+    """
+    xp = reward.__array_namespace__()
+    if config.reward == "sign":
+        return xp.maximum(0, xp.sign(reward))
+    return terminated if config.reward == "goal" else reward
+
+
 class Pool:
     """S x N environments of one task, stepped together.
 
@@ -123,10 +137,7 @@ class Pool:
         """
         done, valid = terminated | truncated, ~self.ended
         self.ended = done
-        if self.config.reward == "sign":
-            reward = np.maximum(0, np.sign(reward))
-        elif self.config.reward == "goal":
-            reward = terminated
+        reward = training_reward(self.config, reward, terminated)
         return EnvStep(
             frame=self.split(self.reader.read(observation)),
             reward=self.split(np.asarray(reward, np.float32)),

@@ -153,7 +153,9 @@ def make_pools(
     Raises:
       ConfigError: the task cannot be made with these options, or cannot be trained on.
     """
-    kind = EnvpoolPool if config.suite == "envpool" else GymnasiumPool
+    kind: Any = {"envpool": EnvpoolPool, "gymnasium": GymnasiumPool}.get(config.suite)
+    if kind is None:
+        from .jax_pool import JaxPool as kind  # imports jax
     streams = [env_seeds(seed, num_envs, start)[local_envs] for seed in seeds]
     size = len(streams[0]) // groups
     return [
