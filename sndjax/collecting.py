@@ -82,8 +82,9 @@ def check_environment(env: JaxEnvironment) -> None:
     state, frame = jax.eval_shape(env.reset, key)
     action = jax.ShapeDtypeStruct((), jnp.int32)
     after, next_frame, *scalars = jax.eval_shape(env.step, key, state, action)
+    structure: Callable[[Any], Any] = jax.tree.structure
     for name, old, new in (("state", state, after), ("observation", frame, next_frame)):
-        if jax.tree.structure(old) != jax.tree.structure(new):
+        if structure(old) != structure(new):
             raise ValueError(f"step returns a {name} of another structure than reset")
         for (path, was), becomes in zip(
             jax.tree_util.tree_leaves_with_path(old), jax.tree.leaves(new), strict=True

@@ -242,7 +242,7 @@ class Signal(NamedTuple):
 class EnvironmentReset(Protocol):
     """How an environment that lives in JAX begins an episode."""
 
-    def __call__(self, key: PRNGKeyArray) -> tuple[State, Shaped[Array, "*frame"]]:
+    def __call__(self, key: PRNGKeyArray, /) -> tuple[State, Shaped[Array, "*frame"]]:
         """Return the state and the observation at the start of an episode.
 
         Args:
@@ -255,7 +255,7 @@ class EnvironmentStep(Protocol):
     """How an environment that lives in JAX takes one step."""
 
     def __call__(
-        self, key: PRNGKeyArray, state: State, action: Int[Array, ""]
+        self, key: PRNGKeyArray, state: State, action: Int[Array, ""], /
     ) -> tuple[State, Shaped[Array, "*frame"], Float[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
         """Return state, observation, reward, whether the task ended the episode, or a limit.
 

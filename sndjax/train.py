@@ -17,6 +17,7 @@ from sndjax.rollout import (
     zero_reset_rows,
 )
 from sndjax.scaling import scale_reward
+from sndjax.side_by_side import run_side_by_side
 from sndjax.statistics import (
     init_return_statistics,
     init_running_statistics,
@@ -104,7 +105,7 @@ def compute_intrinsic_rewards(
 
 
 def make_train_step(
-    agent: AgentSpec, shard_rows: ShardRows = identity
+    agent: AgentSpec, shard_rows: ShardRows = identity, beside: str | None = None
 ) -> Callable[[TrainState, Experience], tuple[TrainState, Metrics, Float[Array, "T N"]]]:
     """Make `train_step(state, batch)`: the whole of one iteration's learning, to be jitted.
 
@@ -116,6 +117,9 @@ def make_train_step(
       agent: what learns.
       shard_rows: applied to the rows `[B, ...]` of every minibatch; on several devices it says
         which of them computes which rows (`jax.lax.with_sharding_constraint`).
+      beside: the name of a mesh axis of two devices, for small networks: the first trains the
+        policy while the second trains the module, which do not depend on each other. The step is
+        then called under `jax.shard_map` over this axis, with the same arguments on both.
 
     >>> from sndjax import VECTOR, ActorCritic, Experience, Rollout
     >>> network = ActorCritic(VECTOR, 3, value_heads=1)
@@ -145,10 +149,17 @@ def make_train_step(
         )
         state, int_reward, metrics = compute_intrinsic_rewards(agent, state, batch, key_reward)
         advantage, target = ppo.compute_advantages(agent.ppo, batch, int_reward)
-        state, terms = update_policy(agent, state, batch, advantage, target, key_policy, shard_rows)
-        metrics |= terms
-        state, terms = update_intrinsic_module(agent, state, batch, key_module, shard_rows)
-        metrics |= terms
+        learn_policy = lambda: update_policy(
+            agent, state, batch, advantage, target, key_policy, shard_rows
+        )
+        learn_module = lambda: update_intrinsic_module(agent, state, batch, key_module, shard_rows)
+        (policy, policy_terms), (module, module_terms) = (
+            (learn_policy(), learn_module())
+            if beside is None
+            else run_side_by_side(beside, learn_policy, learn_module)
+        )
+        state = state._replace(**policy._asdict(), **module._asdict())
+        metrics |= policy_terms | module_terms
         if any(agent.unbounded):
             moments = update_running_statistics(state.observations, raw[:-1], valid)
             state = state._replace(observations=moments)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,21 @@ from sndjax.types import Experience, Metrics, Params, State, TrainState
 ShardRows = Callable[[Any], Any]
 
 
+class PolicyState(NamedTuple):
+    """The part of a `TrainState` that learning the policy changes; named as there."""
+
+    policy: Params
+    policy_optimizer: optax.OptState
+
+
+class IntrinsicTrainState(NamedTuple):
+    """The part of a `TrainState` that training the module changes; named as there."""
+
+    intrinsic: Params
+    intrinsic_optimizer: optax.OptState
+    intrinsic_state: State
+
+
 def identity(rows: Any) -> Any:
     """Return the rows of a minibatch as they are: all on one device."""
     return rows
@@ -32,7 +47,7 @@ def update_policy(
     target: Float[Array, "T N K"],
     key: PRNGKeyArray,
     shard_rows: ShardRows = identity,
-) -> tuple[TrainState, Metrics]:
+) -> tuple[PolicyState, Metrics]:
     """Run the PPO epochs: one permutation of the rollout, gone through `epochs` times.
 
     Args:
@@ -45,7 +60,7 @@ def update_policy(
       shard_rows: see `make_train_step`.
 
     Returns:
-      The state with a new policy, and the means of its metrics over minibatches.
+      The new policy, and the means of its metrics over minibatches.
     """
     hyper, rollout = agent.ppo, batch.rollout
     stacks = make_frame_stacker(batch, agent.stack)
@@ -83,7 +98,7 @@ def update_policy(
     (policy, optimizer_state), metrics = lax.scan(
         minibatch, (state.policy, state.policy_optimizer), jnp.tile(index, (hyper.epochs, 1))
     )
-    return state._replace(policy=policy, policy_optimizer=optimizer_state), mean_metrics(metrics)
+    return PolicyState(policy, optimizer_state), mean_metrics(metrics)
 
 
 def update_intrinsic_module(
@@ -92,7 +107,7 @@ def update_intrinsic_module(
     batch: Experience,
     key: PRNGKeyArray,
     shard_rows: ShardRows = identity,
-) -> tuple[TrainState, Metrics]:
+) -> tuple[IntrinsicTrainState, Metrics]:
     """Train the intrinsic module on one pass over the rollout.
 
     Args:
@@ -103,11 +118,12 @@ def update_intrinsic_module(
       shard_rows: see `make_train_step`.
 
     Returns:
-      The state with a new module, and the means of its metrics over minibatches.
+      The new module, and the means of its metrics over minibatches.
     """
     intrinsic, rollout = agent.intrinsic, batch.rollout
+    start = IntrinsicTrainState(state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
     if intrinsic is None or not jax.tree.leaves(state.intrinsic):
-        return state, {}  # nothing is trained
+        return start, {}  # nothing is trained
     module = intrinsic.module
     _, optimizer = agent.optimizers()
     key_order, key_loss = jax.random.split(key)
@@ -119,8 +135,8 @@ def update_intrinsic_module(
     apart = intrinsic.shuffle or intrinsic.minibatch_size < rollout.action.shape[1]
 
     def minibatch(
-        carry: tuple[Params, optax.OptState, State], inputs: tuple[Array, PRNGKeyArray]
-    ) -> tuple[tuple[Params, optax.OptState, State], Metrics]:
+        carry: IntrinsicTrainState, inputs: tuple[Array, PRNGKeyArray]
+    ) -> tuple[IntrinsicTrainState, Metrics]:
         params, _, module_state = carry
         index, key = inputs
         batch = (
@@ -133,23 +149,17 @@ def update_intrinsic_module(
         )
         metrics |= {"module_loss": total, "module_grad_norm": optax.tree.norm(gradient)}
 
-        def step(
-            carry: tuple[Params, optax.OptState, State],
-        ) -> tuple[Params, optax.OptState, State]:
+        def step(carry: IntrinsicTrainState) -> IntrinsicTrainState:
             params, optimizer_state, module_state = carry
             trained = (params, optimizer_state)
             params, optimizer_state = optimizer_step(optimizer, gradient, trained)
-            return params, optimizer_state, module.update(params, module_state)
+            return IntrinsicTrainState(params, optimizer_state, module.update(params, module_state))
 
         return step_with_rows(step, carry, batch.valid), metrics
 
-    start = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
     keys = jax.random.split(key_loss, index.shape[0])
-    (params, optimizer_state, module_state), metrics = lax.scan(minibatch, start, (index, keys))
-    state = state._replace(
-        intrinsic=params, intrinsic_optimizer=optimizer_state, intrinsic_state=module_state
-    )
-    return state, mean_metrics(metrics)
+    learned, metrics = lax.scan(minibatch, start, (index, keys))
+    return learned, mean_metrics(metrics)
 
 
 def optimizer_step(

@@ -178,7 +178,8 @@ def test_update_intrinsic_module_ten_updates_lower_distillation_loss(name, kind)
     step = jax.jit(lambda state, key: update_intrinsic_module(agent, state, batch, key))
     copies, losses = [state.intrinsic.signal], []
     for key in jax.random.split(jax.random.key(0), 10):
-        state, metrics = step(state, key)
+        learned, metrics = step(state, key)
+        state = state._replace(**learned._asdict())
         copies.append(state.intrinsic.signal)
         losses.append(float(metrics["distillation_loss"]))
     rows = sndjax.gather_transitions(batch.rollout, jnp.arange(STEPS * ENVS))

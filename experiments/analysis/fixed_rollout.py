@@ -78,7 +78,8 @@ def learn_fixed_rollout(config: Config, updates: int) -> None:
     loss = make_signal_loss(module, rollout, config.algo.minibatch_size)
     copies = [state.intrinsic.signal]
     for i, key in enumerate(jax.random.split(state.key, updates)):
-        state, metrics = update(state, key)
+        learned, metrics = update(state, key)
+        state = state._replace(**learned._asdict())
         copies.append(state.intrinsic.signal)
         shown = "  ".join(
             f"{k} {float(v):.4g}" for k, v in metrics.items() if "loss" in k or "spread" in k

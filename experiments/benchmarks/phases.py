@@ -134,7 +134,8 @@ class PhaseBenchmark:
         def policy(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
             batch = zero_reset_rows(first_steps(batch, steps))
             estimate = compute_advantages(agent.ppo, batch, jnp.zeros_like(batch.reward))
-            return update_policy(shorter, state, batch, *estimate, state.key)[0]
+            learned, _ = update_policy(shorter, state, batch, *estimate, state.key)
+            return state._replace(**learned._asdict())
 
         return policy
 
@@ -143,7 +144,8 @@ class PhaseBenchmark:
 
         def module(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
             batch = zero_reset_rows(first_steps(batch, steps))
-            return update_intrinsic_module(self.agent, state, batch, state.key)[0]
+            learned, _ = update_intrinsic_module(self.agent, state, batch, state.key)
+            return state._replace(**learned._asdict())
 
         return module
 

@@ -38,6 +38,7 @@ CHANGEABLE = (
     "group",
     "distributed",
     "iterations_per_call",
+    "cores",
 )
 
 

@@ -176,6 +176,13 @@ class Config:
         low=1,
         high=65536,
     )
+    cores: int | None = option(
+        None,
+        "CPU cores that agents with small networks are divided among, or policy and module of one "
+        "agent; default: those of this process",
+        low=1,
+        high=1024,
+    )
     num_envs: int = option(128, "environments per seed", low=1, high=65536)
     rollout_length: int = option(128, "steps per iteration and environment", low=1, high=65536)
     total_steps: int = option(

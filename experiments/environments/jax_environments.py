@@ -58,7 +58,7 @@ def make_gymnax(name: str, options: Options) -> sndjax.JaxEnvironment:
 
 
 def make_craftax(name: str, options: Options) -> sndjax.JaxEnvironment:
-    """Make Craftax or Craftax-Classic, symbolic or in pixels; options are its parameters' fields."""
+    """Make Craftax, symbolic or in pixels; options are fields of its parameters."""
     from craftax.craftax_env import make_craftax_env_from_name
 
     kinds = ("Craftax", "Craftax-Classic")
@@ -211,7 +211,7 @@ def observation_space(env: sndjax.JaxEnvironment) -> Any:
     if np.issubdtype(dtype, np.integer):
         limits = np.iinfo(dtype)
         bounds = (np.clip(x, limits.min, limits.max) for x in bounds)
-    low, high = (x.astype(np.float32 if dtype == bool else dtype) for x in bounds)
+    low, high = (x.astype(np.float32 if np.dtype(dtype).kind == "b" else dtype) for x in bounds)
     return gym.spaces.Box(low, high, dtype=low.dtype.type)
 
 

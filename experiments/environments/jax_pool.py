@@ -15,12 +15,7 @@ from .pool import EnvStep, Pool, task_errors
 
 
 class JaxPool(Pool):
-    """A pool of environments that live in JAX.
-
-    Attributes:
-      environment: the environment with its observations read as frames; training steps it inside
-        its own program.
-    """
+    """A pool of environments that live in JAX."""
 
     def __init__(self, config: EnvConfig, seeds: list[list[int]]):
         env = make_environment(config)
@@ -51,7 +46,8 @@ class JaxPool(Pool):
                 self.step_one(live, np.asarray(chosen, np.int32), key, self.time)
                 for live, chosen, key in zip(self.live, action, self.keys, strict=True)
             ]
-        self.columns, self.live = zip(*steps, strict=True)
+        self.columns = [columns for columns, _ in steps]
+        self.live = [live for _, live in steps]
 
     def receive(self) -> EnvStep:
         with task_errors(self.config.id):

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sndjax import JaxEnvironment
+
 from ..config.envpool_tasks import gym
 from ..config.schema import EnvConfig
 from ..system.errors import ConfigError, TaskError
@@ -66,9 +68,12 @@ class Pool:
       dtype: the dtype of one frame, uint8 for [H, W, C] or float32 for [D].
       unbounded: for each component of a vector, whether it has no bounds.
       rooms: whether steps contain the room of Montezuma's Revenge.
+      environment: the environment with its observations read as frames, if it lives in JAX: then
+        training steps it inside its own program.
     """
 
     rooms = False
+    environment: JaxEnvironment | None = None
 
     def __init__(self, config: EnvConfig, seeds: int, num_envs: int, space: Any, actions: Any):
         """Set the sizes and the reader from the spaces of one environment.

@@ -50,13 +50,20 @@ class Checkpoints:
         names = [place.name for place in self.path.iterdir()]
         return sorted(int(name) for name in names if re.fullmatch(r"[0-9]{1,12}", name))
 
-    def save(self, iteration: int, state: TrainState, more: dict[str, Any]) -> None:
+    def save(
+        self,
+        iteration: int,
+        state: TrainState,
+        more: dict[str, Any],
+        beside: dict[str, Any] | None = None,
+    ) -> None:
         """Start an asynchronous write of the current state; only one write runs at a time.
 
         Args:
           iteration: the number of iterations that the state has completed.
           state: the state; it may be donated as soon as this returns.
           more: further entries of the manifest; `saved_return` reads from it which is the best.
+          beside: further trees of arrays by name, such as the environments; see `load_beside`.
 
         Raises:
           OSError: the previous checkpoint could not be written.
@@ -68,7 +75,7 @@ class Checkpoints:
             return
         if np.any(np.asarray(state.iteration) != iteration):
             raise CheckpointError(f"the state is not that of iteration {iteration}")
-        tree = jax.tree.map(np.array, unwrap_key(state))  # a copy: the buffers are reused
+        tree = jax.tree.map(np.array, unwrap_keys(state._asdict() | (beside or {})))  # a copy
         more = more | {GENERATOR: str(jax.random.key_impl(state.key))}
         self.writer = threading.Thread(
             target=self.write_in_background, args=(iteration, tree, more)
@@ -169,6 +176,33 @@ class Checkpoints:
           CheckpointError: the checkpoint is not complete, has other shapes or dtypes, holds another
             iteration, or its random keys are of another generator.
         """
+        tree = self.load_tree(step, like)
+        if np.any(np.asarray(tree.iteration) != step):
+            raise CheckpointError(f"checkpoint {step} holds the state of another iteration")
+        return tree
+
+    def load_beside(self, step: int, like: dict[str, Any]) -> dict[str, Any]:
+        """Return further trees of a checkpoint by name.
+
+        Args:
+          step: the iteration of the checkpoint.
+          like: their shapes and dtypes.
+
+        Raises:
+          CheckpointError: see `load`.
+        """
+        return self.load_tree(step, like)
+
+    def load_tree(self, step: int, like: Any) -> Any:
+        """Return a tree of one checkpoint with its random keys.
+
+        Args:
+          step: the iteration of the checkpoint.
+          like: its shapes and dtypes.
+
+        Raises:
+          CheckpointError: see `load`.
+        """
         try:
             tree, manifest = read_tree(self.path / str(step), unwrapped_shapes(like))
         except OtherArraysError as error:
@@ -180,19 +214,24 @@ class Checkpoints:
         here = current_generator()
         if manifest.get(GENERATOR, here) != here:  # two generators have keys of the same shape
             raise CheckpointError(other_generator(str(manifest[GENERATOR])))
-        if np.any(np.asarray(tree.iteration) != step):
-            raise CheckpointError(f"checkpoint {step} holds the state of another iteration")
-        return tree._replace(key=jax.random.wrap_key_data(tree.key))
+        wrap = lambda old, new: jax.random.wrap_key_data(new) if is_key(old) else new
+        return jax.tree.map(wrap, like, tree)
 
 
-def unwrap_key(state: TrainState) -> TrainState:
-    """Return the state with its random key as plain integers."""
-    return state._replace(key=jax.random.key_data(state.key))
+def is_key(leaf: Any) -> bool:
+    """Return True for an array of random keys."""
+    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def unwrapped_shapes(like: TrainState) -> Any:
-    """Return the shapes and dtypes of a state after `unwrap_key`."""
-    return jax.eval_shape(unwrap_key, like)
+def unwrap_keys(tree: Any) -> Any:
+    """Return a tree with its random keys as plain integers."""
+    return jax.tree.map(lambda x: jax.random.key_data(x) if is_key(x) else x, tree)
+
+
+def unwrapped_shapes(like: Any) -> Any:
+    """Return the shapes and dtypes of a tree after `unwrap_keys`."""
+    data = jax.random.key_data
+    return jax.tree.map(lambda x: jax.eval_shape(data, x) if is_key(x) else x, like)
 
 
 def saved_return(path: Path) -> float:

@@ -54,33 +54,51 @@ class EpisodeTracker:
           room: the room of each row, uint8 [S, T, N], or None.
         """
         ended: list[list[Episode]] = [[] for _ in self.seeds]
-        _, steps, envs = valid.shape
+        envs = valid.shape[2]
         stacked = np.where(valid, np.stack(rewards).astype(np.float64), 0)
-        for t in range(steps):
-            self.length += valid[:, t]
-            self.sums += stacked[:, :, t]
+        begun = np.zeros(self.length.shape, int)  # the first row of each current episode
+
+        def add_rows(s: int, n: int, end: int | None) -> None:
+            part = slice(begun[s, n], end)
+            self.length[s, n] += valid[s, part, n].sum()
+            self.sums[:, s, n] += stacked[:, s, part, n].sum(1)
             if self.rooms is not None and room is not None:
-                s, n = np.nonzero(valid[:, t])
-                self.rooms[s, n, room[s, t, n]] = True
-            for s, n in zip(*np.nonzero(game_over[:, t] & valid[:, t]), strict=True):
-                external, score, intrinsic = (float(x) for x in self.sums[:, s, n])
-                count = None if self.rooms is None else int(self.rooms[s, n].sum())
-                ended[s].append(
-                    Episode(
-                        self.seeds[s],
-                        start + (t + 1) * envs,
-                        int(self.length[s, n]),
-                        external,
-                        score,
-                        intrinsic,
-                        count,
-                    )
+                self.rooms[s, n, room[s, part, n][valid[s, part, n]]] = True
+
+        for t, s, n in np.argwhere((game_over & valid).transpose(1, 0, 2)).tolist():
+            add_rows(s, n, t + 1)
+            external, score, intrinsic = self.sums[:, s, n].tolist()
+            ended[s].append(
+                Episode(
+                    seed=self.seeds[s],
+                    step=start + (t + 1) * envs,
+                    length=int(self.length[s, n]),
+                    ext_return=external,
+                    score=score,
+                    int_return=intrinsic,
+                    rooms=None if self.rooms is None else int(self.rooms[s, n].sum()),
                 )
-                self.length[s, n] = 0
-                self.sums[:, s, n] = 0
-                if self.rooms is not None:
-                    self.rooms[s, n] = False
+            )
+            self.length[s, n], self.sums[:, s, n], begun[s, n] = 0, 0, t + 1
+            if self.rooms is not None:
+                self.rooms[s, n] = False
+        whole = (begun == 0) & (self.rooms is None)  # no end here: all of these at once
+        self.length += np.where(whole, valid.sum(1), 0)
+        self.sums += np.where(whole, stacked.sum(2), 0)
+        for s, n in np.argwhere(~whole).tolist():
+            add_rows(s, n, None)
         return ended
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return copies of the running sums, for a checkpoint."""
+        found = {"length": self.length.copy(), "sums": self.sums.copy()}
+        return found if self.rooms is None else found | {"rooms": self.rooms.copy()}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Set the running sums to those of `arrays`."""
+        self.length, self.sums = np.array(arrays["length"]), np.array(arrays["sums"])
+        if self.rooms is not None:
+            self.rooms = np.array(arrays["rooms"])
 
 
 class EpisodeSummary:

@@ -1,4 +1,7 @@
-"""The logs of a run: metrics.jsonl, episodes.csv, summary.json and TensorBoard events."""
+"""The logs of a run: metrics.jsonl, episodes.csv, times.jsonl, summary.json, TensorBoard events.
+
+Only times.jsonl depends on the clock.
+"""
 
 import json
 import math
@@ -8,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from ..system.files import write_atomically
+from ..system.process import rss_mb
 from .append_log import AppendLog, LogMark, read_until_mark
 from .episodes import Episode, EpisodeSummary
 from .tensorboard import TensorBoardWriter
 
 COLUMNS = [name for name in Episode._fields if name != "rooms"]
-LOGS = ("metrics.jsonl", "episodes.csv")
+LOGS = ("metrics.jsonl", "episodes.csv", "times.jsonl")
 
 
 def check_logs(path: Path, seeds: list[int], marks: dict[str, LogMark]) -> None:
@@ -29,27 +33,30 @@ def check_logs(path: Path, seeds: list[int], marks: dict[str, LogMark]) -> None:
     """
     for name in LOGS:
         read_until_mark(path / name, marks[name])
-    known = {"step": int, "transitions": int, "wall_seconds": float}
-    for line in read_metrics(path, marks[LOGS[0]]["bytes"]):
+    known = {"step": int, "transitions": int}
+    for line in read_lines(path / LOGS[0], marks[LOGS[0]]["bytes"]):
         fits = all(isinstance(line.get(key), kind) for key, kind in known.items())
         if not fits or line.get("seed") not in seeds:
             raise ValueError(f"{LOGS[0]} holds a line of another run")
     for episode in read_episodes(path, marks[LOGS[1]]["bytes"]):
         if episode.seed not in seeds:
             raise ValueError(f"{LOGS[1]} holds a line of another run")
+    for line in read_lines(path / LOGS[2], marks[LOGS[2]]["bytes"]):
+        if not isinstance(line.get("wall_seconds"), float):
+            raise ValueError(f"{LOGS[2]} holds a line of another run")
 
 
-def read_metrics(path: Path, end: int) -> Iterator[dict[str, Any]]:
-    """Yield the lines of metrics.jsonl in a run directory, before the byte `end`.
+def read_lines(path: Path, end: int) -> Iterator[dict[str, Any]]:
+    """Yield the lines of a .jsonl file, before the byte `end`.
 
     Raises:
       ValueError: a line is not a JSON object.
     """
-    with (path / LOGS[0]).open("rb") as file:
+    with path.open("rb") as file:
         while file.tell() < end:
             line = json.loads(file.readline())
             if not isinstance(line, dict):
-                raise ValueError(f"{LOGS[0]} holds a line that is no object")
+                raise ValueError(f"{path.name} holds a line that is no object")
             yield line
 
 
@@ -87,7 +94,9 @@ class RunLogs:
         self.summaries = [EpisodeSummary() for _ in seeds]
         self.wall_seconds = 0.0
         self.transitions = [0 for _ in seeds]
-        self.metrics, self.episodes = (AppendLog(path / name, marks.get(name)) for name in LOGS)
+        self.metrics, self.episodes, self.times = (
+            AppendLog(path / name, marks.get(name)) for name in LOGS
+        )
         self.tensorboard = TensorBoardWriter(path / "tensorboard", seeds)
         self.columns = COLUMNS + (["rooms"] if rooms else [])
         if self.episodes.size:
@@ -97,8 +106,13 @@ class RunLogs:
         self.flush()
 
     def read_back(self) -> Iterator[dict[str, Any]]:
-        """Return an iterator over the lines of metrics.jsonl so far."""
-        return read_metrics(self.path, self.metrics.size)
+        """Yield the lines of metrics.jsonl so far, each with the times of its iteration."""
+        times = read_lines(self.path / LOGS[2], self.times.size)
+        own: dict[str, Any] = {"iteration": 0}
+        for line in read_lines(self.path / LOGS[0], self.metrics.size):
+            while own["iteration"] < line["iteration"]:
+                own = next(times)
+            yield line | own
 
     def restore_counts(self) -> None:
         """Restore the counts, the summaries and the TensorBoard events from the existing logs."""
@@ -115,16 +129,30 @@ class RunLogs:
         """Write a line of episodes.csv; no cell needs quotes."""
         self.episodes.write(",".join(str(cell) for cell in cells) + "\n")
 
-    def log_iteration(self, i: int, ended: list[Episode], entry: dict[str, Any]) -> dict[str, Any]:
+    def log_times(self, times: dict[str, Any]) -> dict[str, Any]:
+        """Log what the clock says of one iteration, and return the line.
+
+        Args:
+          times: its number, seconds and rates.
+        """
+        line = {key: finite_or_none(value) for key, value in times.items()}
+        line |= {"wall_seconds": self.wall_seconds, "rss_mb": rss_mb()}
+        self.times.write(json.dumps(line, allow_nan=False) + "\n")
+        return line
+
+    def log_iteration(
+        self, i: int, ended: list[Episode], entry: dict[str, Any], times: dict[str, Any]
+    ) -> dict[str, Any]:
         """Log one iteration of one seed: its episodes and its line of metrics.
 
         Args:
           i: the index of the seed.
           ended: the episodes that ended in this iteration.
           entry: the metrics of this iteration; keys are removed from it.
+          times: its line of times.
 
         Returns:
-          The line: the entry with the means and the count of the episodes.
+          The line: the entry with the means and the count of the episodes, and the times.
         """
         for episode in ended:
             self.summaries[i].add(episode)
@@ -140,18 +168,19 @@ class RunLogs:
         }
         line = {key: finite_or_none(value) for key, value in (line | entry).items()}
         self.metrics.write(json.dumps(line, allow_nan=False) + "\n")
-        self.tensorboard.add(line, time.time())
-        return line
+        self.tensorboard.add(line | times, time.time())
+        return line | times
 
     def flush(self) -> None:
         """Flush all log files to the system."""
-        for log in (self.metrics, self.episodes, self.tensorboard):
+        for log in (self.metrics, self.episodes, self.times, self.tensorboard):
             log.flush()
 
     def manifest(self) -> dict[str, Any]:
         """Fsync the logs and return the entries that describe them in a checkpoint's manifest."""
         last = [summary.last100 for summary in self.summaries if summary.last100 is not None]
-        marks = dict(zip(LOGS, (self.metrics.mark(), self.episodes.mark()), strict=True))
+        logs = (self.metrics, self.episodes, self.times)
+        marks = {name: log.mark() for name, log in zip(LOGS, logs, strict=True)}
         return {"logs": marks, "last100": finite_or_none(sum(last) / len(last)) if last else None}
 
     def summarize(self, step: int) -> None:
@@ -166,7 +195,7 @@ class RunLogs:
 
     def close(self) -> None:
         """Close the files."""
-        for log in (self.metrics, self.episodes, self.tensorboard):
+        for log in (self.metrics, self.episodes, self.times, self.tensorboard):
             log.close()
 
 

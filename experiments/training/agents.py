@@ -158,6 +158,26 @@ def init_states(agent: sndjax.AgentSpec, seeds: list[int], example: Any) -> sndj
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
 
 
+def make_seed_train_step(
+    agent: sndjax.AgentSpec, config: Config, placement: SingleDevice = SINGLE_DEVICE
+) -> Callable[..., Any]:
+    """Return `train_step` of one seed, with NaN handled according to `on_nan`.
+
+    Args:
+      agent: the agent that learns.
+      config: the configuration, for `on_nan`.
+      placement: the devices that compute.
+    """
+    step = sndjax.make_train_step(agent, placement.shard_rows, placement.beside)
+
+    def watched(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
+        state, metrics, reward = step(state, batch)
+        fine = sndjax.all_finite(cast(Any, state)._replace(key=()))
+        return state, metrics | {"state_finite": fine}, reward
+
+    return {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}[config.on_nan]
+
+
 def make_seeds_train_step(
     agent: sndjax.AgentSpec, config: Config, placement: SingleDevice = SINGLE_DEVICE
 ) -> Callable[..., Any]:
@@ -168,12 +188,5 @@ def make_seeds_train_step(
       config: the configuration, for `on_nan` and the number of seeds.
       placement: the devices that compute the rows of a minibatch.
     """
-    step = sndjax.make_train_step(agent, placement.shard_rows)
-
-    def watched(state: sndjax.TrainState, batch: sndjax.Experience) -> Any:
-        state, metrics, reward = step(state, batch)
-        fine = sndjax.all_finite(cast(Any, state)._replace(key=()))
-        return state, metrics | {"state_finite": fine}, reward
-
-    steps = {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}
-    return map_over_seeds(steps[config.on_nan], config.num_seeds, axis=placement.axis)
+    step = make_seed_train_step(agent, config, placement)
+    return map_over_seeds(step, placement.seeds_here(config.num_seeds), axis=placement.axis)

@@ -7,6 +7,7 @@ from typing import Any
 
 from sndjax import AgentSpec
 
+from ..config.jax_suites import JAX_SUITES
 from ..config.schema import Config
 from ..environments.observations import Reader
 
@@ -81,4 +82,6 @@ def announcements(config: Config, agent: AgentSpec, reader: Reader, done: int) -
             "algo.reward_scale=running_std"
         )
     if 0 < done < config.iterations:
-        yield f"resuming from iteration {done}; environments begin new episodes"
+        kept = config.env.suite in JAX_SUITES
+        how = "go on where they were" if kept else "begin new episodes"
+        yield f"resuming from iteration {done}; environments {how}"

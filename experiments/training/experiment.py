@@ -11,14 +11,31 @@ import numpy as np
 
 import sndjax
 
+from ..config.jax_suites import JAX_SUITES
 from ..config.schema import Config
 from ..environments.pool import Pool
 from ..environments.pools import make_pools
 from ..system.errors import ConfigError
 from ..system.process import available_memory
 from .agents import build_agent, init_states, make_seeds_train_step, map_over_seeds
+from .cpu_cores import place_on_cores
 from .placement import SINGLE_DEVICE, SingleDevice
 from .rollouts import Collector, choose_num_pools
+
+ENVIRONMENT_STREAM = 2  # folded into a seed's key; acting folds 1, learning 0
+START_STREAM = 3  # of the environments' first resets
+
+
+class RunState(NamedTuple):
+    """Everything that a run changes, leaves [S, ...].
+
+    Attributes:
+      train: what learning changes.
+      environments: `sndjax.LiveEnvironments`; () where they step outside jax.
+    """
+
+    train: sndjax.TrainState
+    environments: Any
 
 
 class Experiment(NamedTuple):
@@ -48,6 +65,24 @@ class Experiment(NamedTuple):
     def init_states(self) -> sndjax.TrainState:
         """Return the state of every seed before its first iteration, leaves [S, ...]."""
         return init_states(self.agent, self.config.seeds, self.example)
+
+    def init_environments(self, states: sndjax.TrainState) -> Any:
+        """Return the environments of every seed at their start; () if they step outside jax.
+
+        Args:
+          states: before the first iteration, leaves [S, ...].
+        """
+        env, config = self.pool.environment, self.config
+        if env is None:
+            return ()
+        start = lambda key: sndjax.init_environments(
+            env, jax.random.fold_in(key, START_STREAM), config.num_envs, config.env.stack
+        )
+        return jax.jit(map_over_seeds(start, config.num_seeds))(states.key)
+
+    def environment_shapes(self) -> Any:
+        """Return the shapes and dtypes of `init_environments`; nothing is computed."""
+        return jax.eval_shape(self.init_environments, self.state_shapes())
 
     def state_shapes(self) -> sndjax.TrainState:
         """Return the shapes and dtypes of the states; nothing is computed."""
@@ -113,10 +148,14 @@ def build_experiment(
             config.seeds,
             config.num_envs,
             start_iteration,
-            placement.num_pools(choose_num_pools(config.num_envs), config.num_envs),
+            1
+            if config.env.suite in JAX_SUITES
+            else placement.num_pools(choose_num_pools(config.num_envs), config.num_envs),
             placement.local_env_slice(config.num_envs),
         )
         check_rollout_memory(config, pools[0])
+    if placement is SINGLE_DEVICE:
+        placement = place_on_cores(config, pools[0])
     agent = build_agent(config, pools[0])
     example = jnp.zeros((config.num_envs, *pools[0].shape), pools[0].dtype)
     try:

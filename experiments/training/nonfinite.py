@@ -1,6 +1,7 @@
 """Numbers that are not finite: which they are, and the dump of the update that made them."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from ..config.command_text import replay_command
 from ..config.saved import SavedConfig, to_yaml
 from ..config.schema import Config
 from ..storage.array_trees import CheckpointError, write_tree
-from ..storage.checkpoints import unwrap_key
+from ..storage.checkpoints import unwrap_keys
 from ..system.versions import versions
-from .experiment import Experiment
+from .experiment import Experiment, RunState
+from .iterations import IterationResult
 from .run_logger import RunLogger
 
 PPO = ("policy_loss", "value_loss", "entropy", "kl", "ratio_clipped", "ppo_loss", "grad_norm")
@@ -106,42 +108,46 @@ def write_dump(
     Raises:
       OSError: the dump cannot be written.
     """
-    tree = jax.tree.map(np.asarray, {"state": unwrap_key(state), "batch": batch})
+    tree = jax.tree.map(np.asarray, {"state": unwrap_keys(state), "batch": batch})
     write_tree(path, tree, {"config": to_yaml(SavedConfig(config, versions))})
 
 
 def keep_failed_update(
     logger: RunLogger,
     experiment: Experiment,
-    wrong: list[str],
-    before: TrainState | None,
-    batch: Experience,
-) -> tuple[TrainState | None, str]:
+    result: IterationResult,
+    recover: Callable[[], tuple[RunState, Experience]],
+    save: Callable[[RunState], None],
+) -> tuple[RunState | None, str]:
     """Save the state before an update that failed and a dump of the update.
 
     Args:
       logger: of the run.
       experiment: of the run.
-      wrong: the terms that are not finite.
-      before: the state before the update; None if the newest checkpoint holds it.
-      batch: the batch of the update.
+      result: the results of the iteration of the update.
+      recover: returns the state before the update and the batch of the update.
+      save: saves a checkpoint.
 
     Returns:
       The state before the update, or None if it cannot be read, and the error message for the user.
     """
-    config, placement = experiment.config, experiment.placement
-    more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-    what = f"iteration {logger.done + 1}, {wrong[0]}{more}"
+    config, placement, before = experiment.config, experiment.placement, None
+    figures = (config.seeds, result.info.reward, result.info.valid, result.metrics)
+    wrong = nonfinite_terms(*figures)
     dump = logger.path / f"wrong-{logger.done + 1}"
+    trouble = ""
     try:
-        if before is None:
-            before = logger.load_newest(experiment.state_shapes())
-        logger.save(before)
+        before, batch = recover()
+        if placement.hosts == 1:  # of several hosts, none can read the frames of all
+            wrong = nonfinite_terms(*figures, batch.rollout.frames)
+        save(before)
         logger.flush()
-        state, rows = placement.to_host((before, batch))
+        state, rows = placement.to_host((before.train, batch))
         if placement.is_leader:
             write_dump(dump, config, versions(), state, rows)
     except (OSError, CheckpointError) as error:
-        return before, f"{what}; the dump could not be written: {error}"
-    good = f"the last good checkpoint is that of iteration {logger.done}"
-    return before, f"{what}; {good}; to see why: {replay_command(dump, config)}"
+        trouble = f"; the dump could not be written: {error}"
+    more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+    what = f"iteration {logger.done + 1}, {wrong[0]}{more}"
+    good = f"; the last good checkpoint is that of iteration {logger.done}"
+    return before, what + (trouble or f"{good}; to see why: {replay_command(dump, config)}")

@@ -19,6 +19,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from ..config.schema import Config
 from ..system.errors import ConfigError
 
+CPU_DEVICES = "jax_num_cpu_devices"  # jax declares no such attribute
 HOST_VARIABLES = ("JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
 
 
@@ -66,11 +67,18 @@ class SingleDevice:
       hosts: the number of processes of the run.
       is_leader: whether this process writes the files of the run.
       axis: the name of the mesh's axis of seeds; None without a mesh.
+      beside: the name of a mesh axis of two devices, of which one trains the policy and the other
+        the module; None where one device does both.
     """
 
     hosts = 1
     is_leader = True
     axis: str | None = None
+    beside: str | None = None
+
+    def seeds_here(self, seeds: int) -> int:
+        """Return the number of seeds that a compiled function sees."""
+        return seeds
 
     def shard_rows(self, rows: Any) -> Any:
         """Return the rows [B, ...] of a minibatch, sharded over the devices that compute them."""
@@ -87,6 +95,14 @@ class SingleDevice:
     def compile_train_step(self, function: Callable[..., Any]) -> Any:
         """Return `train_step` of all seeds, jitted. The state is donated: its memory is reused."""
         return jax.jit(function, donate_argnums=0)
+
+    def compile_iterations(self, function: Callable[..., Any]) -> Any:
+        """Return `make_iterations` jitted. The state is donated."""
+        return jax.jit(function, donate_argnums=0)
+
+    def put_actor(self, actor: Any) -> Any:
+        """Return the part of the states that acts, on the devices that act."""
+        return actor
 
     def put_frames(self, frame: np.ndarray) -> Any:
         """Copy frames [S, n, ...] of this host's environments to the devices that learn."""
@@ -202,6 +218,15 @@ class DeviceMesh(SingleDevice):
             out_shardings=(states, self.sharding(), self.sharding()),
         )
 
+    def compile_iterations(self, function: Callable[..., Any]) -> Any:
+        states, whole = self.sharding("seeds"), self.sharding()
+        return jax.jit(
+            function,
+            donate_argnums=0,
+            in_shardings=(states, whole),
+            out_shardings=(states, whole, self.sharding("seeds", None, "envs")),
+        )
+
     def put_batch(self, batch: Any) -> Any:
         return jax.tree.map(lambda x: self.put(x, "seeds", None, "envs"), batch)
 
@@ -250,6 +275,7 @@ def choose_placement(config: Config) -> SingleDevice:
     Raises:
       ConfigError: the environments cannot be divided among the devices.
     """
-    if jax.device_count() == 1:
+    cores = getattr(jax.config, CPU_DEVICES)  # set by `use_cores`: see `place_on_cores`
+    if jax.device_count() == 1 or jax.device_count() == cores:
         return SINGLE_DEVICE
     return DeviceMesh(config.num_seeds, config.num_envs)

@@ -17,7 +17,6 @@ from ..storage.run_directory import FollowerDirectory, RunDirectory
 from ..storage.run_logs import LOGS, RunLogs, check_logs
 from ..storage.trackers import Tracker
 from ..system.errors import ConfigError
-from ..system.process import rss_mb
 from .placement import SingleDevice
 from .rollouts import RolloutInfo
 from .snapshots import SnapshotWriter
@@ -89,19 +88,6 @@ class RunLogger:
         check_settings(self.config, manifest["settings"])
         check_logs(self.shared, self.config.seeds, manifest["logs"])
 
-    def load(self, like: Any) -> Any:
-        """Return the states of the checkpoint that the run resumes from; None for a new run.
-
-        Raises:
-          ConfigError: the checkpoint cannot be used.
-        """
-        if self.found is None:
-            return None
-        try:
-            return self.placement.put_states(self.checkpoints.load(self.found, like))
-        except CheckpointError as error:
-            raise ConfigError(f"resume={self.shared}: cannot be resumed: {error}") from None
-
     def open_tracker(self) -> None:
         """Open the tracker.
 
@@ -142,6 +128,7 @@ class RunLogger:
         logs, config = self.logs, self.config
         step = self.done * config.rows
         valid = np.asarray(info.valid).sum((1, 2)).tolist()
+        clock = logs.log_times({"iteration": self.done} | times)
         lines = []
         for i in range(config.num_seeds):
             logs.transitions[i] += valid[i]
@@ -151,11 +138,8 @@ class RunLogger:
                 "transitions": logs.transitions[i],
                 "frames": step * int(config.env.options.get("frame_skip", 1)),
                 **{name: value[i] for name, value in metrics.items()},
-                **times,
-                "wall_seconds": logs.wall_seconds,
-                "rss_mb": rss_mb(),
             }
-            lines.append(logs.log_iteration(i, ended[i], entry))
+            lines.append(logs.log_iteration(i, ended[i], entry, clock))
         logs.flush()
         self.tracker.queue_lines(lines)
         return lines
@@ -169,8 +153,12 @@ class RunLogger:
         late |= time.monotonic() - self.last_save > CHECKPOINT_SECONDS
         return self.done % self.config.checkpoint_every == 0 or self.placement.any_host(late)
 
-    def save(self, state: sndjax.TrainState) -> None:
+    def save(self, state: sndjax.TrainState, beside: dict[str, Any]) -> None:
         """Start an asynchronous checkpoint write. The logs are fsynced first.
+
+        Args:
+          state: the states of all seeds.
+          beside: further trees of arrays by name.
 
         Raises:
           OSError: the logs or the previous checkpoint could not be written.
@@ -181,7 +169,7 @@ class RunLogger:
         if self.done < self.config.iterations:  # a finished run: after its last checkpoint
             self.logs.summarize(self.done * self.config.rows)
         manifest = self.logs.manifest() | {"settings": run_settings(self.config)}
-        self.checkpoints.save(self.done, self.placement.to_host(state), manifest)
+        self.checkpoints.save(self.done, self.placement.to_host(state), manifest, beside)
         self.last_save = time.monotonic()
 
     def flush(self) -> None:
@@ -193,15 +181,6 @@ class RunLogger:
         self.checkpoints.wait()
         if trouble := self.tracker.send(self.checkpoints.newest):
             self.say(trouble)
-
-    def load_newest(self, like: Any) -> Any:
-        """Return the states of the newest checkpoint.
-
-        Raises:
-          CheckpointError: the checkpoint cannot be used.
-        """
-        assert self.checkpoints.newest is not None
-        return self.placement.put_states(self.checkpoints.load(self.checkpoints.newest, like))
 
     def write_snapshot(
         self, state: sndjax.TrainState, batch: sndjax.Experience, int_reward: np.ndarray

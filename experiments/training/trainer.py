@@ -1,37 +1,34 @@
 """The training loop of a run: rollout -> train_step -> log, for every iteration."""
 
 import signal
-import time
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 import sndjax
 
 from ..config.schema import Config
+from ..storage.array_trees import CheckpointError
 from ..storage.episodes import EpisodeTracker
 from ..storage.run_directory import FollowerDirectory, RunDirectory
 from ..storage.run_logs import mean_over_seeds
-from ..system.display import Progress, format_duration
-from ..system.errors import NonFiniteError, TaskError
+from ..system.display import Progress
+from ..system.errors import ConfigError, NonFiniteError, TaskError
 from ..system.interrupts import Interrupted, Interrupts
-from ..system.jax_settings import apply_debug_settings, jit_is_disabled
-from ..system.process import enable_compilation_cache, return_freed_memory
+from ..system.jax_settings import apply_debug_settings
+from ..system.process import enable_compilation_cache
 from ..system.versions import versions
+from .cpu_cores import use_cores
 from .diagnostics import HealthMonitor, announcements
-from .experiment import build_experiment
-from .flops import estimate_seconds
+from .experiment import RunState, build_experiment
+from .fused_iterations import FusedIterations
+from .iterations import HostIterations, IterationResult, Iterations, Watch
 from .nonfinite import keep_failed_update, nonfinite_terms
 from .placement import choose_placement
-from .rollouts import RolloutInfo
 from .run_logger import RunLogger
 
 LONG_SECONDS = 60  # after a longer iteration there is always a checkpoint
-GRACE_SECONDS = 4  # for an update to end after SIGTERM; short, to leave time for a checkpoint
 
 
 class Trainer:
@@ -48,20 +45,64 @@ class Trainer:
           ConfigError: the task or the checkpoint does not fit the configuration.
         """
         enable_compilation_cache()
+        use_cores(config)
         settings = apply_debug_settings()
         self.config, self.seeds = config, config.seeds
-        self.placement = choose_placement(config)
-        self.logger = RunLogger(config, directory, self.placement)
+        placement = choose_placement(config)
+        self.logger = RunLogger(config, directory, placement)
         self.logger.messages += settings
-        self.experiment = build_experiment(config, self.placement, self.logger.done)
-        self.collector = self.experiment.make_collector()
-        self.train_step = self.placement.compile_train_step(self.experiment.make_train_step())
-        self.update: Any = None  # the compiled train_step
+        self.experiment = build_experiment(config, placement, self.logger.done)
+        self.placement = self.logger.placement = self.experiment.placement
+        pool = self.experiment.pool
+        self.fused = pool.environment is not None
+        self.episodes = EpisodeTracker(self.seeds, config.num_envs, pool.rooms)
+        self.collector = None if self.fused else self.experiment.make_collector()
         self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
         # None: not initialized yet, or donated to a running update.
-        self.state: sndjax.TrainState | None = self.logger.load(self.experiment.state_shapes())
-        self.update_seconds: float | None = None  # the expected time of an update
+        self.state: RunState | None = self.load()
         self.logger.open_tracker()
+
+    def load(self) -> RunState | None:
+        """Return the state of the checkpoint that the run resumes from; None for a new run.
+
+        Raises:
+          ConfigError: the checkpoint cannot be used.
+        """
+        if self.logger.found is None:
+            return None
+        try:
+            return self.load_newest()
+        except CheckpointError as error:
+            where = f"resume={self.logger.shared}"
+            raise ConfigError(f"{where}: cannot be resumed: {error}") from None
+
+    def load_newest(self) -> RunState:
+        """Return the state of the newest checkpoint; the running episodes are set to its own.
+
+        Raises:
+          CheckpointError: the checkpoint cannot be used.
+        """
+        checkpoints = self.logger.checkpoints
+        assert checkpoints.newest is not None
+        train = checkpoints.load(checkpoints.newest, self.experiment.state_shapes())
+        environments = ()
+        if self.fused:
+            shapes = self.experiment.environment_shapes()
+            like = {"environments": shapes, "episodes": self.episodes.arrays()}
+            beside = checkpoints.load_beside(checkpoints.newest, like)
+            self.episodes.restore(beside["episodes"])
+            environments = beside["environments"]
+        return RunState(*map(self.placement.put_states, (train, environments)))
+
+    def save(self, state: RunState) -> None:
+        """Start to write a checkpoint.
+
+        Raises:
+          OSError: the logs or the previous checkpoint could not be written.
+        """
+        environments = {"environments": self.placement.to_host(state.environments)}
+        beside = environments | {"episodes": self.episodes.arrays()} if self.fused else {}
+        self.logger.save(state.train, beside)
 
     def train(self, interrupts: Interrupts) -> None:
         """Run all remaining iterations, and log each.
@@ -78,14 +119,20 @@ class Trainer:
         self.interrupts = interrupts
         config, logger = self.config, self.logger
         total = config.iterations * config.rows
-        logger.open_logs(self.experiment.agent, self.experiment.pool.rooms)
+        pool, agent = self.experiment.pool, self.experiment.agent
+        logger.open_logs(agent, pool.rooms)
         title = f"{config.env.name} {config.algo.name}, {len(self.seeds)} seed(s) -> {logger.path}"
         self.progress = Progress(title, total, logger.done * config.rows)
-        reader = self.experiment.pool.reader
-        news = announcements(config, self.experiment.agent, reader, logger.done)
+        news = announcements(config, agent, pool.reader, logger.done)
         for line in [*logger.messages, *news]:
             self.progress.say(line)
         logger.say = self.progress.say
+        watch = Watch(self.progress, interrupts, self.placement.hosts)
+        self.iterations: Iterations = (
+            FusedIterations(self.experiment, watch)
+            if self.collector is None
+            else HostIterations(self.experiment, self.collector, watch)
+        )
         finished = False
         try:
             try:
@@ -103,60 +150,132 @@ class Trainer:
         finally:
             self.progress.close()
             logger.close(finished)
-            self.collector.close()
+            if self.collector is not None:
+                self.collector.close()
 
     def iterate(self) -> None:
         """Run every iteration from the next one to the last one."""
         config, progress, logger = self.config, self.progress, self.logger
         if logger.done == config.iterations:
             return
-        progress.phase("compiling the policy")
         if self.state is None:
-            self.state = self.placement.put_states(self.experiment.init_states())
-            logger.save(self.state)  # so that there is always a checkpoint to resume from
-        pool = self.experiment.pool
-        self.episodes = EpisodeTracker(self.seeds, config.num_envs, pool.rooms)
-        self.monitors = {seed: HealthMonitor(pool.num_actions) for seed in self.seeds}
+            train = self.experiment.init_states()
+            start = RunState(train, self.experiment.init_environments(train))
+            self.state = RunState(*map(self.placement.put_states, start))
+            self.save(self.state)  # so that there is always a checkpoint to resume from
+        actions = self.experiment.pool.num_actions
+        self.monitors = {seed: HealthMonitor(actions) for seed in self.seeds}
         for line in logger.logs.read_back():
             self.monitors[line["seed"]].update(line)  # these warnings were printed before
         while logger.done < config.iterations:
-            self.run_iteration()
+            self.advance()
             self.check()
-        logger.save(self.state)
+        self.save(self.state)
         progress.phase("saving")
         logger.flush()
 
-    def run_iteration(self) -> None:
-        """Collect a rollout, learn from it, log it; save a checkpoint if one is due."""
-        config, progress, logger = self.config, self.progress, self.logger
-        begun = time.monotonic()
-        batch, info = self.collect()
-        collected = time.monotonic()
-        metrics, int_reward = self.learn(batch, info)
-        assert self.state is not None
-        elapsed = time.monotonic() - begun
-        times = {
-            "steps_per_second": config.rows / elapsed,
-            "collect_seconds": collected - begun,
-            "update_seconds": self.update_seconds,
-        }
-        logger.logs.wall_seconds += elapsed
+    def advance(self) -> None:
+        """Run some iterations and log them; save a checkpoint if one is due.
+
+        Raises:
+          NonFiniteError: with on_nan=stop, a number is not finite.
+          Interrupted: a signal was received.
+        """
+        config, logger, state = self.config, self.logger, self.state
+        assert state is not None
+        every = config.checkpoint_every
+        most = min(config.iterations - logger.done, every - logger.done % every)
+        results, batch = self.take_iterations(state, most)
+        for result in results:
+            self.log(result)
+        state = self.state
+        assert state is not None
+        late = sum(result.seconds for result in results) > LONG_SECONDS
+        if logger.checkpoint_due(late):
+            self.save(state)
+            self.check()
+            logger.write_snapshot(state.train, batch, results[-1].int_reward)
+
+    def take_iterations(
+        self, state: RunState, most: int
+    ) -> tuple[list[IterationResult], sndjax.Experience]:
+        """Run some iterations, and return their results and the last rollout.
+
+        Args:
+          state: of all seeds; its memory is reused.
+          most: the number of iterations that may be run.
+
+        Raises:
+          NonFiniteError: with on_nan=stop, a number is not finite; iterations before it are logged.
+          Interrupted: a signal was received.
+        """
+        # A copy must remain, on the disk or here.
+        on_disk = self.logger.checkpoints.newest == self.logger.done and self.placement.hosts == 1
+        before = None if on_disk else self.copy(state)
+        self.state = None
+        try:
+            state, results, batch = self.iterations.run(state, most)
+        except BaseException:
+            self.state = before
+            raise
+        if self.config.on_nan == "stop":
+            self.check_finite(results, before, batch)
+        self.state = state
+        return results, batch
+
+    def log(self, result: IterationResult) -> None:
+        """Log one iteration."""
+        config, logger = self.config, self.logger
+        info = result.info
+        logger.logs.wall_seconds += result.seconds
+        times = {"steps_per_second": config.rows / result.seconds} | result.parts
         ended = self.episodes.update(
             logger.done * config.rows,
             info.valid,
             info.game_over,
-            (info.reward, info.score, int_reward),
+            (info.reward, info.score, result.int_reward),
             info.room,
         )
-        lines = logger.log(info, metrics, ended, times)
-        progress.iteration(mean_over_seeds(lines))
+        result.metrics.pop("state_finite", None)
+        lines = logger.log(info, result.metrics, ended, times)
+        self.progress.iteration(mean_over_seeds(lines))
         for line in lines:
             for warning in self.monitors[line["seed"]].update(line):
-                progress.say(warning)
-        if logger.checkpoint_due(elapsed > LONG_SECONDS):
-            logger.save(self.state)
-            self.check()
-            logger.write_snapshot(self.state, batch, int_reward)
+                self.progress.say(warning)
+
+    def check_finite(
+        self, results: list[IterationResult], before: RunState | None, batch: sndjax.Experience
+    ) -> None:
+        """Save what led to a number that is not finite, if there is one.
+
+        Args:
+          results: of the last call.
+          before: the state before it; None if the newest checkpoint holds it.
+          batch: the last rollout of the call.
+
+        Raises:
+          NonFiniteError: there is one.
+        """
+        fine = [
+            not nonfinite_terms(self.seeds, result.info.reward, result.info.valid, result.metrics)
+            for result in results
+        ]
+        if all(fine):
+            return
+        i = fine.index(False)
+        first = before  # before the iterations that are logged now
+        if first is None and i > 0:
+            first = self.load_newest()
+        for result in results[:i]:
+            self.log(result)
+
+        def recover() -> tuple[RunState, sndjax.Experience]:
+            return self.iterations.repeat(first or self.load_newest(), i, batch)
+
+        self.state, message = keep_failed_update(
+            self.logger, self.experiment, results[i], recover, self.save
+        )
+        raise NonFiniteError(message)
 
     def check(self) -> None:
         """Raise Interrupted if any host received a signal, so that all hosts stop together.
@@ -167,94 +286,6 @@ class Trainer:
         if self.placement.any_host(self.interrupts.received is not None):
             raise Interrupted(self.interrupts.received or signal.SIGTERM)
 
-    def collect(self) -> tuple[sndjax.Experience, RolloutInfo]:
-        """Collect the next rollout.
-
-        Returns:
-          The batch for `train_step`, and the data for the log, of all hosts.
-
-        Raises:
-          Interrupted: a signal was received.
-        """
-        assert self.state is not None
-        self.progress.phase("collecting")
-
-        def stepped(step: int) -> None:
-            self.interrupts.begin()  # the policy is compiled: from here on `check` is called often
-            if self.placement.hosts == 1:  # several hosts stop together, after an iteration
-                self.interrupts.check()
-            self.progress.within(step / self.config.rollout_length)
-
-        actor = sndjax.Actor(self.state.policy, self.state.observations, self.state.key)
-        batch, info = self.collector.collect(actor, stepped)
-        return self.placement.put_batch(batch), self.placement.gather_hosts(info)
-
-    def learn(
-        self, batch: sndjax.Experience, info: RolloutInfo
-    ) -> tuple[dict[str, list[float]], np.ndarray]:
-        """Update the state of every seed.
-
-        Args:
-          batch: the rollout of all seeds.
-          info: the data for the log, for the check of the rewards.
-
-        Returns:
-          The metrics by name, a value for every seed, and the intrinsic rewards, [S, T, N].
-
-        Raises:
-          NonFiniteError: with on_nan=stop, a number is not finite.
-          Interrupted: a signal was received.
-        """
-        state = self.state
-        assert state is not None
-        if self.update is None:
-            self.compile(state, batch)
-        # The update reuses the state's memory. A copy must remain, on the disk or here.
-        on_disk = self.logger.checkpoints.newest == self.logger.done and self.placement.hosts == 1
-        before = None if on_disk else self.copy(state)
-        self.progress.phase("learning", self.update_seconds)
-        begun = time.monotonic()
-        try:
-            with self.breakable(GRACE_SECONDS):
-                self.state = None
-                state, found, reward = jax.block_until_ready(self.update(state, batch))
-        except BaseException:
-            self.state = before
-            raise
-        self.update_seconds = time.monotonic() - begun
-        metrics = {name: np.asarray(value).tolist() for name, value in found.items()}
-        # Of several hosts, none can read the frames of all.
-        frames = batch.rollout.frames if self.placement.hosts == 1 else None
-        wrong = nonfinite_terms(self.seeds, info.reward, info.valid, metrics, frames)
-        if wrong and self.config.on_nan == "stop":
-            self.state, message = keep_failed_update(
-                self.logger, self.experiment, wrong, before, batch
-            )
-            raise NonFiniteError(message)
-        metrics.pop("state_finite", None)
-        self.state = state
-        return metrics, np.asarray(reward)
-
-    def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
-        """Return a context in which a signal interrupts waiting, if this is the only host."""
-        return self.interrupts.waiting(grace) if self.placement.hosts == 1 else nullcontext()
-
-    def compile(self, state: sndjax.TrainState, batch: sndjax.Experience) -> None:
-        """Compile the update, and estimate its time."""
-        if jit_is_disabled():
-            self.update = self.train_step
-            return
-        self.progress.phase("compiling the update")
-        begun = time.monotonic()
-        with self.breakable():
-            traced = self.train_step.trace(state, batch)
-            self.update = traced.lower().compile()
-        self.update_seconds = estimate_seconds(traced.jaxpr.jaxpr)
-        return_freed_memory()
-        each = format_duration(self.update_seconds)
-        compiled = f"update compiled in {time.monotonic() - begun:.0f} s"
-        self.progress.say(f"{compiled}; each takes about {each}")
-
     def save_before_leaving(self) -> None:
         """Save a checkpoint of the last logged iteration.
 
@@ -263,7 +294,7 @@ class Trainer:
         self.progress.phase("saving")
         try:
             if self.state is not None:
-                self.logger.save(self.state)
+                self.save(self.state)
             self.logger.flush()
         except Exception as error:  # what ended the run is raised, not this
             self.progress.say(f"no checkpoint could be written: {error}")

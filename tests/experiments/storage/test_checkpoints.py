@@ -12,7 +12,7 @@ import sndjax
 from experiments.storage import array_trees
 from experiments.storage import checkpoints as checkpoint
 from experiments.storage.array_trees import CheckpointError
-from experiments.storage.checkpoints import Checkpoints, unwrap_key
+from experiments.storage.checkpoints import Checkpoints, unwrap_keys
 from experiments.training.agents import init_states
 from sndjax.algorithms import NAMED
 
@@ -64,7 +64,7 @@ def test_Checkpoints_load_saved_state_is_identical(name, tmp_path):
     state = state._replace(iteration=state.iteration + 3)
     assert jax.tree.structure(state) == jax.tree.structure(restored)
     for one, other in zip(
-        jax.tree.leaves(unwrap_key(state)), jax.tree.leaves(unwrap_key(restored)), strict=True
+        jax.tree.leaves(unwrap_keys(state)), jax.tree.leaves(unwrap_keys(restored)), strict=True
     ):
         assert one.dtype == other.dtype
         np.testing.assert_array_equal(one, other)
@@ -83,7 +83,7 @@ def test_Checkpoints_save_donated_state_is_written_correctly(state, tmp_path, mo
     checkpoints.wait()
     restored = restore(tmp_path, state)[1]
     for one, other in zip(
-        jax.tree.leaves(unwrap_key(state)), jax.tree.leaves(unwrap_key(restored)), strict=True
+        jax.tree.leaves(unwrap_keys(state)), jax.tree.leaves(unwrap_keys(restored)), strict=True
     ):
         np.testing.assert_array_equal(one, other)
 
@@ -129,7 +129,7 @@ def test_read_tree_arrays_with_code_are_refused(state, tmp_path, monkeypatch):
     np.savez(path / "arrays.npz", **{"policy": np.array([Bomb(trace)], dtype=object)})
     monkeypatch.setattr(array_trees, "verify_manifest", lambda path: {})
     with pytest.raises(CheckpointError, match="allow_pickle=False"):
-        array_trees.read_tree(path, jax.eval_shape(lambda: unwrap_key(state)))
+        array_trees.read_tree(path, jax.eval_shape(lambda: unwrap_keys(state)))
     assert not trace.exists()
 
 
