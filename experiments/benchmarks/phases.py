@@ -24,15 +24,22 @@ from ..system.process import enable_compilation_cache
 from ..system.versions import versions
 from ..training.agents import map_over_seeds
 from ..training.experiment import build_experiment
+from ..training.scan_collector import ScanCollector
 from .analytic_flops import flops_per_step
 from .timing import BenchmarkTimer, device_name, print_line
 
 MINIBATCHES = 3  # that a phase is timed on; the start of a call costs a tenth of one
-PHASES = ("environment", "acting", "rewards", "policy", "motivation")
 
 
-def timed_steps(config: Config) -> int:
-    """Return the length of the rollout that is timed: the shortest with `MINIBATCHES` of each."""
+def timed_steps(config: Config, pixels: bool) -> int:
+    """Return the length of the rollout that is timed: the shortest with `MINIBATCHES` of each.
+
+    Args:
+      config: of the benchmark.
+      pixels: whether observations are images; for vectors the whole rollout is timed.
+    """
+    if not pixels:
+        return config.rollout_length
     sizes = (config.ppo.minibatch_size, config.algo.minibatch_size)
     for steps in range(1, config.rollout_length + 1):
         rows = steps * config.num_envs
@@ -70,11 +77,12 @@ class PhaseBenchmark:
 
     def phase_seconds(self) -> dict[str, float]:
         """Estimate the seconds of each phase of an iteration from some steps and minibatches."""
-        steps = timed_steps(self.config)
+        pixels = self.experiment.pool.dtype == np.uint8
+        steps = timed_steps(self.config, pixels)
         found = self.collecting_seconds(steps)
         config, agent = self.config, self.agent
         times = config.rollout_length / steps
-        epochs = min(2, config.ppo.epochs)
+        epochs = min(2, config.ppo.epochs) if pixels else config.ppo.epochs
         for name, phase, counted in (
             ("rewards", self.rewards_phase(steps), times),
             ("policy", self.policy_phase(steps, epochs), times * config.ppo.epochs / epochs),
@@ -88,8 +96,14 @@ class PhaseBenchmark:
         return found
 
     def collecting_seconds(self, steps: int) -> dict[str, float]:
-        """Time stepping and acting one after the other; in a run with two pools they overlap."""
+        """Time stepping and acting one after the other; in a run with two pools they overlap.
+
+        Where both are one program, as for environments in JAX, it is timed as a whole.
+        """
         config = self.config
+        if isinstance(self.collector, ScanCollector):
+            collect = self.collector.collect
+            return {"collecting": self.timer.seconds(lambda: collect(self.actor()))}
         times = config.rollout_length / steps
         pool_states, pool = self.collector.pool_states, self.experiment.pool
         rows = (config.num_seeds, config.num_envs // len(pool_states))
@@ -230,7 +244,7 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
         "num_envs": config.num_envs,
         "rollout_length": config.rollout_length,
         "steps_per_second": steps / gone,
-        "seconds_per_1000_steps": {n: 1000 * phases[n] / steps for n in PHASES},
+        "seconds_per_1000_steps": {n: 1000 * gone / steps for n, gone in phases.items()},
         "compile_seconds": compile_seconds,
         "compile_seconds_cached": cached_seconds,
     }
@@ -272,7 +286,7 @@ def phase_table(measured: dict[str, Any]) -> str:
         + (
             ""
             if share is None
-            else f"; {measured['nominal_gflop_per_step']:.2f} GFLOP of nominal work a step: "
+            else f"; {measured['nominal_gflop_per_step']:.2g} GFLOP of nominal work a step: "
             f"{share:.2f} of that"
         ),
     ]

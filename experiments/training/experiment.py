@@ -14,16 +14,21 @@ import sndjax
 from ..config.jax_suites import JAX_SUITES
 from ..config.schema import Config
 from ..environments.pool import Pool
-from ..environments.pools import make_pools
+from ..environments.pools import EnvpoolPool, make_pools
 from ..system.errors import ConfigError
 from ..system.process import available_memory
 from .agents import build_agent, init_states, make_seeds_train_step, map_over_seeds
 from .cpu_cores import place_on_cores
 from .placement import SINGLE_DEVICE, SingleDevice
 from .rollouts import Collector, choose_num_pools
+from .scan_collector import (
+    ScanCollector,
+    first_environments,
+    make_envpool_collect,
+    make_jax_collect,
+)
 
-ENVIRONMENT_STREAM = 2  # folded into a seed's key; acting folds 1, learning 0
-START_STREAM = 3  # of the environments' first resets
+START_STREAM = 3  # folded into a seed's key for the environments' first resets
 
 
 class RunState(NamedTuple):
@@ -88,8 +93,16 @@ class Experiment(NamedTuple):
         """Return the shapes and dtypes of the states; nothing is computed."""
         return jax.eval_shape(self.init_states)
 
-    def make_collector(self) -> Collector:
+    def make_collector(self) -> Collector | ScanCollector:
         """Reset the environments, and return the collector of their rollouts."""
+        pool, agent, config = self.pool, self.agent, self.config
+        here = jax.default_backend() == "cpu" and self.placement.axis is None
+        if pool.environment is not None:
+            live = self.init_environments(self.init_states())
+            return ScanCollector(pool, make_jax_collect(pool.environment, agent, config), live)
+        if here and isinstance(pool, EnvpoolPool) and pool.dtype != np.uint8:
+            live = first_environments(pool, config.env.stack)
+            return ScanCollector(pool, make_envpool_collect(pool, agent, config), live)
         return Collector(
             pools=self.pools,
             act=self.act,

@@ -11,11 +11,11 @@ from jax import lax
 
 import sndjax
 
-from ..environments.pool import training_reward
 from .agents import make_seed_train_step, map_over_seeds
-from .experiment import ENVIRONMENT_STREAM, Experiment, RunState
+from .experiment import Experiment, RunState
 from .iterations import GRACE_SECONDS, IterationResult, Watch
 from .rollouts import RolloutInfo
+from .scan_collector import make_jax_collect
 
 CALL_SECONDS = 1.0  # about as long as a call lasts: signals and checkpoints wait for its end
 MOST_BYTES = 64 << 20  # of the results of a call
@@ -41,15 +41,13 @@ def make_iteration(experiment: Experiment) -> Callable[..., Any]:
     """
     config, agent, env = experiment.config, experiment.agent, experiment.pool.environment
     assert env is not None
+    collect = make_jax_collect(env, agent, config)
     train_step = make_seed_train_step(agent, config, experiment.placement)
 
     def iterate(train: sndjax.TrainState, live: sndjax.LiveEnvironments) -> Any:
         actor = sndjax.Actor(train.policy, train.observations, train.key)
-        key = jax.random.fold_in(train.key, ENVIRONMENT_STREAM)
-        batch, live = sndjax.collect(agent, env, actor, live, key, config.rollout_length)
-        score, rollout = batch.reward, batch.rollout
-        reward = training_reward(config.env, score, rollout.done & ~batch.truncated)
-        batch = batch._replace(reward=reward.astype(jnp.float32))
+        batch, live, score = collect(actor, live)
+        rollout = batch.rollout
         train, metrics, int_reward = train_step(train, batch)
         row = Row(
             metrics=metrics,

@@ -17,6 +17,7 @@ from ..system.process import return_freed_memory
 from .experiment import Experiment, RunState
 from .flops import estimate_seconds
 from .rollouts import Collector, RolloutInfo
+from .scan_collector import ScanCollector
 
 GRACE_SECONDS = 4  # for an update to end after SIGTERM; short, to leave time for a checkpoint
 
@@ -114,7 +115,7 @@ class Watch(NamedTuple):
 class HostIterations:
     """Iterations whose environments step outside jax."""
 
-    def __init__(self, experiment: Experiment, collector: Collector, watch: Watch):
+    def __init__(self, experiment: Experiment, collector: Collector | ScanCollector, watch: Watch):
         """Prepare; nothing is compiled yet.
 
         Args:
