@@ -8,7 +8,8 @@
 # make check   formatter, linter and type checker
 # make style   how the code is documented, in numbers
 # make .venv          the environment; PYTHON=python3.12 picks another Python
-# make .venv/.sweeps  launchers for clusters, and trackers, which the tests use too
+# make .venv/.sweeps    launchers for clusters, and trackers, which the tests use too
+# make .venv/.jax-envs  environments that live in JAX (gymnax, Craftax, XLand-MiniGrid), which they use too
 PYTHON ?= python3
 MINUTES ?= 60
 RUN := .venv/bin/python
@@ -20,8 +21,8 @@ RUN := .venv/bin/python
 	@command -v $(PYTHON) >/dev/null || { echo "sndjax: no $(PYTHON) here; install Python 3.11 or newer, or run make PYTHON=..." >&2; exit 2; }
 	@$(PYTHON) bootstrap.py
 
-.venv/.sweeps: .venv/.complete requirements-sweeps.txt
-	@$(PYTHON) bootstrap.py sweeps
+.venv/.sweeps .venv/.jax-envs: .venv/.%: .venv/.complete requirements-%.txt
+	@$(PYTHON) bootstrap.py $*
 
 QUICK := tests/objectives tests/signals tests/test_returns.py tests/test_ppo.py tests/test_statistics.py \
 	tests/test_scaling.py tests/test_hashing.py tests/test_style.py tests/experiments/test_imports.py
@@ -37,13 +38,13 @@ style: .venv/.complete
 demo: .venv/.complete
 	@$(RUN) -m experiments.cli demo
 
-test: .venv/.sweeps
+test: .venv/.sweeps .venv/.jax-envs
 	@$(RUN) -m pytest -n 2 --dist worksteal
 
-test-all: .venv/.sweeps
+test-all: .venv/.sweeps .venv/.jax-envs
 	@$(RUN) -m pytest -n 2 --dist worksteal -m "not survival"
 
-test-survival: .venv/.sweeps
+test-survival: .venv/.sweeps .venv/.jax-envs
 	@$(RUN) -m pytest -m survival -s
 
 bench: .venv/.complete

@@ -2,8 +2,8 @@
 
 `make .venv` runs it with any Python.
 
-With the argument `sweeps` it adds the packages for sweeps on clusters and for trackers, which the
-tests need too.
+With the argument `sweeps` it adds the packages for sweeps on clusters and for trackers, with
+`jax-envs` the environments that live in JAX. The tests need both.
 
 Old versions of Python must be able to parse this file, so that it can report that they are too old.
 """
@@ -108,20 +108,26 @@ def complete(name):
     open(os.path.join(VENV, name), "w").close()
 
 
-def add_sweeps():
-    """Install the packages for sweeps on clusters and for trackers."""
+EXTRAS = {
+    "sweeps": "launchers and trackers, about 400 MB",
+    "jax-envs": "environments in JAX, about 200 MB",
+}
+
+
+def add_extra(name):
+    """Install the packages of an extra."""
     pip = [os.path.join(VENV, "bin", "python"), "-m", "pip"]
     if not os.path.exists(os.path.join(VENV, "bin", "pip")):
         pip = [sys.executable, "-m", "pip", "--python", os.path.join(VENV, "bin", "python")]
-    title = "installing launchers and trackers, about 400 MB"
-    install(pip, title, "--no-deps", "-r", "requirements-sweeps.txt")
-    complete(".sweeps")
+    title = "installing " + EXTRAS[name]
+    install(pip, title, "--no-deps", "-r", "requirements-%s.txt" % name)
+    complete("." + name)
 
 
 def main():
     check_platform()
-    if sys.argv[1:] == ["sweeps"]:
-        return add_sweeps()
+    if sys.argv[1:]:
+        return add_extra(sys.argv[1])
     print("making .venv with %s" % sys.executable, flush=True)
     pip = make_venv()
     install(

@@ -11,6 +11,9 @@ The episodes of the random warm-up at the start of the scripts are not counted.
     peer=cleanrl      CleanRL's ppo_rnd_envpool.py (needs torch, tyro, gym)
     peer=rlexplore    RLeXplore's "3 rlexplore_with_cleanrl.py", with its RND instead of its RE3
                       (needs torch, tyro, rllte-core)
+    peer=purejaxrl    PureJaxRL's ppo.py: its speed beside ours, with the same network, environments
+                      and minibatches in one process, and that of RND on top
+                      (needs gymnax, distrax); writes OUT/purejaxrl.json
 """
 
 from dataclasses import dataclass
@@ -27,11 +30,15 @@ from .system.process import run_script
 class Options:
     """The options of the command."""
 
-    peer: str = option("cleanrl", "whose script it is", choices=("cleanrl", "rlexplore"))
+    peer: str = option(
+        "cleanrl", "whose script it is", choices=("cleanrl", "rlexplore", "purejaxrl")
+    )
     seed: int = option(0, "of the script and of the environments", low=0)
     steps: int = option(1_003_520, "that the script trains for, rounded down to rollouts", low=1)
     settings: str = option(
-        "", "options of the script, with commas: learning_rate=5e-4,norm_adv=false; rnd.beta=0.1"
+        "",
+        "options of the script, with commas: learning_rate=5e-4,norm_adv=false; rnd.beta=0.1; "
+        "NUM_ENVS=512,NUM_MINIBATCHES=64",
     )
     out: str = option("runs/peers", "where the run's figures go")
 

@@ -27,7 +27,6 @@ from sndjax.algorithms import (
 )
 from sndjax.checks import check_rollout
 from sndjax.collecting import (
-    JaxEnvironment,
     LiveEnvironments,
     collect,
     init_environments,
@@ -36,6 +35,7 @@ from sndjax.collecting import (
 from sndjax.grid import ObjectiveRecipe, make_module, make_module_from_recipe
 from sndjax.guard import all_finite, skip_nonfinite
 from sndjax.intrinsic_module import IntrinsicModule
+from sndjax.jax_environment import JaxEnvironment
 from sndjax.module import make_intrinsic_module
 from sndjax.networks import (
     ATARI,

@@ -13,7 +13,7 @@ def run_side_by_side(
 ) -> tuple[Any, Any]:
     """Compute `first()` on one device and `second()` on another, and give both results to both.
 
-    The results are those of one after the other, bit for bit.
+    The results are those of one after the other, up to rounding: XLA may fuse them otherwise.
 
     Args:
       axis: the name of a mesh axis of two devices; the call is under `jax.shard_map` over it, with

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sndjax
-from sndjax.collecting import check_environment, environment_keys, reset_ended
+from sndjax.jax_environment import check_environment, environment_keys, reset_ended
 
 STEPS, ENVS = 40, 5
 CORRIDOR = corridor()

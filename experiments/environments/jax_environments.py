@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sndjax
-from sndjax.collecting import check_environment
+from sndjax.jax_environment import check_environment
 
 from ..config.envpool_tasks import gym
 from ..config.jax_suites import check_installed
@@ -30,7 +30,16 @@ SMALL = 32  # an observation of navix with a smaller side is of categories
 
 
 def check_known(what: str, name: str, known: Iterable[str]) -> None:
-    """Raise ConfigError unless a task is one of a library's."""
+    """Raise ConfigError unless a name is known.
+
+    Args:
+      what: the kind of thing that is named.
+      name: the name.
+      known: all known names.
+
+    Raises:
+      ConfigError: it is not.
+    """
     known = list(known)
     if name not in known:
         raise unknown_name_error(what, name, known)

@@ -19,7 +19,8 @@ class JaxPool(Pool):
 
     def __init__(self, config: EnvConfig, seeds: list[list[int]]):
         env = make_environment(config)
-        space, actions = observation_space(env), gym.spaces.Discrete(env.num_actions)
+        space: Any = observation_space(env)
+        actions: Any = gym.spaces.Discrete(env.num_actions)
         super().__init__(config, len(seeds), len(seeds[0]), space, actions)
         self.environment = read_frames(env, self.reader)
         # A pool of one host: the stream of an agent's environments is that of its first one.

@@ -192,7 +192,7 @@ class VectorReader:
             self.read_part(value, space)
             for value, (_, space) in zip(values, self.leaves, strict=True)
         ]
-        return (xp.concatenate(parts, axis=1) - self.centre) / self.half
+        return (xp.concatenate(parts, axis=1) - self.centre[None]) / self.half[None]
 
     @staticmethod
     def read_part(value: Any, space: Any) -> Any:
@@ -204,12 +204,14 @@ class VectorReader:
         """
         value = value.reshape(len(value), -1)
         if isinstance(space, gym.spaces.Discrete):
-            here = value - int(space.start) == np.arange(int(space.n))
+            here = value - int(space.start) == np.arange(int(space.n))[None]
             return here.astype(np.float32) * 2 - 1
         if isinstance(space, gym.spaces.MultiDiscrete):
             sizes, start = space.nvec.ravel(), space.start.ravel()
             codes = np.concatenate([np.arange(n) for n in sizes]) + np.repeat(start, sizes)
-            return (value[:, np.repeat(np.arange(len(sizes)), sizes)] == codes).astype(np.float32)
+            return (value[:, np.repeat(np.arange(len(sizes)), sizes)] == codes[None]).astype(
+                np.float32
+            )
         return value.astype(np.float32)
 
 

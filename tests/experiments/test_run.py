@@ -4,7 +4,7 @@ import math
 import os
 
 import pytest
-from helpers.processes import CAR, SMALL, lines, run, without_clock
+from helpers.processes import CAR, SMALL, lines, run
 
 from experiments.config.schema import SIGNALS
 from experiments.run import main
@@ -64,7 +64,7 @@ def test_run_every_algorithm_on_every_kind_of_environment_trains(
     assert "clipped" in out
     left = {p.name for p in path.iterdir()}
     assert left == {
-        "config.yaml", "metrics.jsonl", "episodes.csv", "summary.json",
+        "config.yaml", "metrics.jsonl", "episodes.csv", "times.jsonl", "summary.json",
         "tensorboard", "checkpoints", ".lock",
     }  # fmt: skip
     assert [p.name for p in tmp_path.iterdir()] == ["run"]  # no outputs/ folder
@@ -80,9 +80,7 @@ def test_run_several_seeds_each_starts_as_it_would_alone(env, tmp_path):
     many = [entry for entry in lines(tmp_path / "many") if entry["seed"] == 5]
     assert len(many) == 2
     assert {entry["seed"] for entry in lines(tmp_path / "many")} == {4, 5}
-    for one, other in zip(
-        without_clock(many), without_clock(lines(tmp_path / "alone")), strict=True
-    ):
+    for one, other in zip(many(lines(tmp_path / "alone")), strict=True):
         for key, value in one.items():
             if isinstance(value, float):
                 assert other[key] == pytest.approx(value, rel=0.02, abs=1e-4), key

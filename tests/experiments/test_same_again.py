@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.processes import CAR, lines, start, tree_of, without_clock
+from helpers.processes import CAR, lines, start, tree_of
 
 VENTURE = ["env=Venture", "algo=snd_std", "num_envs=4", "rollout_length=32"]
 VENTURE += ["ppo.minibatch_size=64", "algo.minibatch_size=64"]
@@ -30,12 +30,12 @@ def test_run_same_command_at_once_and_repeated_gives_the_same_bits(arguments, it
     with start(again, tmp_path) as process:
         _, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
-    (at, first), entries = tree_of(tmp_path / "a"), without_clock(lines(tmp_path / "a"))
+    (at, first), entries = tree_of(tmp_path / "a")(lines(tmp_path / "a"))
     assert at == iterations
     assert len(entries) == 2 * iterations
     for name in "bc":
         path = tmp_path / name
-        assert without_clock(lines(path)) == entries
+        assert lines(path) == entries
         episodes = (path / "episodes.csv").read_bytes()
         assert episodes == (tmp_path / "a" / "episodes.csv").read_bytes()
         iteration, other = tree_of(path)

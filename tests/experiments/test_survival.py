@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from helpers.processes import CAR, check_nothing_lost, lines, start, tree_of, without_clock
+from helpers.processes import CAR, check_nothing_lost, lines, start, times, tree_of
 
 from experiments.config.compose import load_config
 from experiments.run import main
@@ -36,7 +36,7 @@ survival = pytest.mark.survival
 def prefix(path):
     """Return the lines of metrics.jsonl up to the newest checkpoint."""
     newest = max((int(p.name) for p in (path / "checkpoints").glob("[0-9]*")), default=0)
-    return [e for e in without_clock(whole_lines(path)) if e["iteration"] <= newest]
+    return [e for e in whole_lines(path) if e["iteration"] <= newest]
 
 
 def size_of(path):
@@ -104,7 +104,7 @@ def test_run_killed_at_random_moments_loses_no_line(kills, tmp_path):
     until(path, command, 20)
     print(f"{kills} kills, {len(lines(path))} lines, none lost")
     check_nothing_lost(path, len(lines(path)) // 2, seeds=2)
-    assert without_clock(lines(path))[: len(kept)] == kept
+    assert lines(path)[: len(kept)] == kept
 
 
 LONG = ["env=MountainCar", "algo=rnd", "num_envs=64", "rollout_length=512", "ppo.minibatch_size=64"]
@@ -132,7 +132,7 @@ def test_run_sigterm_after_an_older_checkpoint_keeps_the_state_before_the_update
         while len(whole_lines(path)) < 1:
             assert process.poll() is None, process.communicate()
             time.sleep(0.01)
-        (line,) = lines(path)
+        (line,) = times(path)
         assert line["update_seconds"] > 6, "too quick here to be broken off: take more epochs"
         time.sleep(line["collect_seconds"] + 1)
         err = stop(process, signal.SIGTERM)
@@ -181,10 +181,10 @@ def test_run_sigterm_leaves_a_checkpoint_that_can_be_extended(tmp_path):
     iteration, _ = tree_of(path)
     assert iteration == len(lines(path)) >= 7
     check_nothing_lost(path, iteration)
-    kept = without_clock(lines(path))
+    kept = lines(path)
     until(path, [f"resume={path}", "total_steps=200_000_000"], 3, signal.SIGINT)
     check_nothing_lost(path, len(lines(path)))
-    assert without_clock(lines(path))[:iteration] == kept
+    assert lines(path)[:iteration] == kept
     assert load_config([f"resume={path}"]).total_steps == 200_000_000
 
 
@@ -192,7 +192,7 @@ def test_run_resume_damaged_checkpoint_uses_the_previous(tmp_path, capfd):
     path = tmp_path / "run"
     command = [*CAR, "algo=ppo", "total_steps=1024", "checkpoint_every=2", f"run_dir={path}"]
     assert main(command) == 0
-    whole = without_clock(lines(path))
+    whole = lines(path)
     file = max((path / "checkpoints" / "8").rglob("*"), key=lambda p: p.stat().st_size)
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1
@@ -202,7 +202,7 @@ def test_run_resume_damaged_checkpoint_uses_the_previous(tmp_path, capfd):
     assert "checkpoint 8 cannot be used" in out
     assert "resuming from iteration 6" in out
     check_nothing_lost(path, 8)
-    assert without_clock(lines(path))[:6] == whole[:6]
+    assert lines(path)[:6] == whole[:6]
     assert tree_of(path)[0] == 8  # complete again
     for step in (path / "checkpoints").iterdir():
         (step / "manifest.json").write_text("{}")
@@ -244,11 +244,11 @@ def test_run_full_disk_keeps_the_last_complete_checkpoint(room, small_disk, tmp_
     assert f"resume={path}" in err
     stood, _ = tree_of(path)
     assert stood >= 9
-    kept = [e for e in without_clock(whole_lines(path)) if e["iteration"] <= stood]
+    kept = [e for e in whole_lines(path) if e["iteration"] <= stood]
     filler.unlink()
     until(path, command, 6)
     check_nothing_lost(path, len(lines(path)))
-    assert without_clock(lines(path))[:stood] == kept
+    assert lines(path)[:stood] == kept
 
 
 @survival
@@ -265,7 +265,7 @@ def test_run_half_an_hour_keeps_memory_files_and_speed(tmp_path):
         process.send_signal(signal.SIGTERM)
         process.wait(60)
     entries = lines(path)
-    warm = [e for e in entries if e["wall_seconds"] > 120]
+    warm = [e for e in times(path) if e["wall_seconds"] > 120]
     memory = [e["rss_mb"] for e in warm]
     third = len(warm) // 3
     rate = [

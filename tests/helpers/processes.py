@@ -41,12 +41,9 @@ def lines(path):
     return [json.loads(line) for line in (path / "metrics.jsonl").read_text().splitlines()]
 
 
-def without_clock(entries):
-    """Return the same lines without times and memory."""
-    return [
-        {k: v for k, v in entry.items() if "second" not in k and "rss" not in k}
-        for entry in entries
-    ]
+def times(path):
+    """Return the lines of a run's times.jsonl."""
+    return [json.loads(line) for line in (path / "times.jsonl").read_text().splitlines()]
 
 
 def tree_of(path, config=None):

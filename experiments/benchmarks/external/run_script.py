@@ -17,6 +17,7 @@ from ...environments.pools import make_pool
 from ...reporting.seed_table import write_summaries
 from ...system.display import ProgressBars
 from ...system.errors import ConfigError
+from .pure_jax import compare_speed
 from .stand_ins import EpisodeCountingEnv, NullWriter, cleanrl_adapter, rlexplore_adapter
 
 PEERS = {"cleanrl": "CleanRL's RND", "rlexplore": "RLeXplore's RND"}
@@ -141,7 +142,7 @@ def provenance(script: str) -> dict[str, Any]:
 def run_peer(
     script_path: Path, peer: str, seed: int, steps: int, settings_text: str, out: Path
 ) -> None:
-    """Run a script on our task, and write its figures.
+    """Run a script on our task, and write its figures; of PureJaxRL's, its speed beside ours.
 
     Args:
       script_path: the file of the script.
@@ -156,6 +157,12 @@ def run_peer(
         needs is not installed.
     """
     settings = parse_settings(settings_text, peer)
+    if peer == "purejaxrl":
+        try:
+            compare_speed(script_path.read_text(), steps, settings, adapt_script, out)
+        except ImportError as error:
+            raise ConfigError(f"peer={peer} needs what is not installed: {error}") from None
+        return
     config = load_config(["env=MountainCar", "algo=rnd", f"seed={seed}"])
     settings = {"num_envs": config.num_envs} | settings
     if peer == "cleanrl":

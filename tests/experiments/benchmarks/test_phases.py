@@ -22,14 +22,21 @@ def quick(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "command", [["algo=ppo"], ["algo=snd_vic", MODULE, "num_seeds=2", "--whole"]]
+    "command",
+    [
+        ["env=MountainCar", "algo=ppo"],
+        ["env=MountainCar", "algo=snd_vic", MODULE, "num_seeds=2", "--whole"],
+        ["env=MountainCar", "env.suite=gymnax", "algo=rnd", MODULE],
+        ["env=Coinrun", "network=small", "algo=ppo"],
+    ],
 )
 def test_bench_last_line_is_json_with_consistent_figures(command, quick, capfd):
-    assert main(["env=MountainCar", *SMALL, *command]) == 0
+    assert main([*command, *SMALL]) == 0
     lines = capfd.readouterr().out.splitlines()
     found = json.loads(lines[-1])
     phases = found["seconds_per_1000_steps"]
-    assert set(phases) == {"environment", "acting", "rewards", "policy", "motivation"}
+    collecting = {"environment", "acting"} if "Coinrun" in command[0] else {"collecting"}
+    assert set(phases) == collecting | {"rewards", "policy", "motivation"}
     assert phases["policy"] > 0
     assert (phases["motivation"] > 0) == ("algo=ppo" not in command)
     assert found["steps_per_second"] == pytest.approx(1000 / sum(phases.values()))
@@ -55,9 +62,10 @@ def test_bench_without_analytic_flops_prints_none(quick, capfd):
 
 def test_timed_steps_are_whole_minibatches():
     config = load_config(["env=Venture", "algo=snd_std"])
-    assert timed_steps(config) == 12  # with 128 environments: three minibatches of 512
+    assert timed_steps(config, pixels=True) == 12  # with 128 environments: three minibatches of 512
+    assert timed_steps(config, pixels=False) == 128
     odd = load_config(["env=MountainCar", "algo=ppo", "num_envs=8", "ppo.minibatch_size=1024"])
-    assert timed_steps(odd) * 8 % 1024 == 0
+    assert timed_steps(odd, pixels=True) * 8 % 1024 == 0
 
 
 @pytest.mark.parametrize(

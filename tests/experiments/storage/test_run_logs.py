@@ -12,8 +12,20 @@ ENTRY = {
     "transitions": 7,
     "frames": 32,
     "loss": 0.5,
-    "wall_seconds": 2.0,
 }
+CLOCK = {"wall_seconds": 2.0}
+
+
+def log_pair(records, k):
+    """Log iteration k of both seeds, which takes two seconds."""
+    records.wall_seconds = 2.0 * k
+    clock = records.log_times({"iteration": k, "steps_per_second": 4.0})
+    for i in range(2):
+        records.transitions[i] = 7 * k
+        line = ENTRY | {"iteration": k, "step": 8 * k, "transitions": 7 * k}
+        ended = [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)]
+        records.log_iteration(i, ended, dict(line), clock)
+    records.flush()
 
 
 def filled(path, iterations=3, marked=0):
@@ -21,13 +33,7 @@ def filled(path, iterations=3, marked=0):
     path.mkdir(exist_ok=True)
     records, manifest = RunLogs(path, [4, 5], rooms=True, marks={}), None
     for k in range(1, iterations + 1):
-        for i in range(2):
-            ended = [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)]
-            line = ENTRY | {"iteration": k, "step": 8 * k, "transitions": 7 * k}
-            records.transitions[i] = 7 * k
-            records.wall_seconds = line["wall_seconds"] = 2.0 * k
-            records.log_iteration(i, ended, dict(line))
-        records.flush()
+        log_pair(records, k)
         if k == marked:
             manifest = records.manifest()
     return (records, manifest) if marked else records
@@ -35,13 +41,17 @@ def filled(path, iterations=3, marked=0):
 
 def test_RunLogs_log_iteration_lines_are_json_without_nan_and_episodes_are_csv(tmp_path):
     records = filled(tmp_path)
-    line = records.log_iteration(0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf})
+    line = records.log_iteration(
+        0, [], ENTRY | {"step": 32, "loss": math.nan, "other": math.inf}, CLOCK
+    )
     records.flush()
     records.close()
     assert line["loss"] is None
+    assert line["wall_seconds"] == 2.0
     assert line["ext_return"] is None
     lines = [json.loads(x) for x in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     assert lines[0]["seed"] == 4
+    assert not any("second" in key or "rss" in key for key in lines[0])  # only in times.jsonl
     assert lines[0]["ext_return"] == 1
     assert lines[-1]["other"] is None
     rows = (tmp_path / "episodes.csv").read_text().splitlines()
@@ -53,7 +63,7 @@ def test_RunLogs_log_iteration_lines_are_json_without_nan_and_episodes_are_csv(t
 def test_RunLogs_log_iteration_reward_not_finite_is_null_in_every_file(tmp_path):
     records = filled(tmp_path)
     worse = Episode(4, 32, 3, math.nan, math.inf, 0.1, 2)
-    line = records.log_iteration(0, [worse], ENTRY | {"step": 32})
+    line = records.log_iteration(0, [worse], ENTRY | {"step": 32}, CLOCK)
     assert (line["ext_return"], line["score"], line["last100_ext_return"]) == (None, None, None)
     records.flush()
     records.summarize(32)
@@ -95,17 +105,21 @@ def test_RunLogs_resumed_cuts_later_lines_and_counts_earlier_ones(tmp_path):
     killed.close()
     with (tmp_path / "b" / "metrics.jsonl").open("a") as file:
         file.write('{"step": 8, "se')  # killed while writing
+    with (tmp_path / "b" / "times.jsonl").open("a") as file:
+        file.write('{"iteration": 4}\n')
     with (tmp_path / "b" / "episodes.csv").open("a") as file:
         file.write("4,8")
     records = RunLogs(tmp_path / "b", [4, 5], rooms=True, marks=manifest["logs"])
     assert records.transitions == [14, 14]
     assert records.wall_seconds == 4.0
     for k in (3, 4):
-        for i in range(2):
-            line = ENTRY | {"iteration": k, "step": 8 * k, "transitions": 7 * k}
-            line["wall_seconds"] = records.wall_seconds = 2.0 * k
-            records.log_iteration(i, [Episode(4 + i, 8 * k, 3, float(k), 10.0 * k, 0.1, 2)], line)
-    records.flush()
+        log_pair(records, k)
+    read = list(records.read_back())
+    assert [(line["iteration"], line["seed"]) for line in read] == [
+        (k, seed) for k in (1, 2, 3, 4) for seed in (4, 5)
+    ]
+    assert [line["wall_seconds"] for line in read] == [2.0, 2.0, 4.0, 4.0, 6.0, 6.0, 8.0, 8.0]
+    assert "rss_mb" in read[0]
     records.summarize(32)
     for name in ("metrics.jsonl", "episodes.csv", "summary.json"):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
