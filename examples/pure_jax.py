@@ -24,7 +24,7 @@ def reset(key):
 
 
 def step(key, at, action):
-    """Go a row down, to the left or to the right, which costs; the last cell on the right pays 1."""
+    """Go a row down, to the left or, at a cost, to the right; the last cell on the right pays 1."""
     right = action == LEFT_OR_RIGHT[at[0], at[1]]
     reward = jnp.where(right, (at[1] == SIZE - 1) - 0.01 / SIZE, 0.0)
     at = jnp.stack([at[0] + 1, jnp.clip(at[1] + jnp.where(right, 1, -1), 0, SIZE - 1)])

@@ -26,6 +26,7 @@ from ..training.agents import map_over_seeds
 from ..training.experiment import build_experiment
 from ..training.scan_collector import ScanCollector
 from .analytic_flops import flops_per_step
+from .phase_table import phase_table
 from .timing import BenchmarkTimer, device_name, print_line
 
 MINIBATCHES = 3  # that a phase is timed on; the start of a call costs a tenth of one
@@ -266,36 +267,6 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
         "share_of_peak": None if work is None else measured["steps_per_second"] * work / rate,
         "versions": versions(),
     }
-
-
-def phase_table(measured: dict[str, Any]) -> str:
-    """Format the figures of `measure` as a table."""
-    per_1000 = measured["seconds_per_1000_steps"]
-    whole = sum(per_1000.values())
-    lines = [f"{'phase':<14}{'s / 1,000 steps':>16}{'share':>8}"]
-    for name, seconds in per_1000.items():
-        lines.append(f"{name:<14}{seconds:>16.3f}{seconds / whole:>8.1%}")
-    lines.append(f"{'all of it':<14}{whole:>16.3f}{'100%':>8}")
-    share = measured["share_of_peak"]
-    lines += [
-        f"{measured['steps_per_second']:,.1f} steps/s on {measured['device']}",
-        f"compiling the update {measured['compile_seconds']:.0f} s, from the cache "
-        f"{measured['compile_seconds_cached']:.1f} s, peak memory "
-        f"{measured['peak_rss_mb']:,.0f} MB",
-        f"matrix product {measured['matmul_gflops']:.0f} GFLOP/s"
-        + (
-            ""
-            if share is None
-            else f"; {measured['nominal_gflop_per_step']:.2g} GFLOP of nominal work a step: "
-            f"{share:.2f} of that"
-        ),
-    ]
-    if "phases_over_whole" in measured:
-        lines.append(
-            f"a whole iteration: {measured['whole_steps_per_second']:,.1f} steps/s; the phases' "
-            f"sum is {measured['phases_over_whole']:.3f} of it"
-        )
-    return "\n".join(lines)
 
 
 def print_benchmark(config: Config, whole: bool) -> None:

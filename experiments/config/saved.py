@@ -29,17 +29,8 @@ from .validation import (
 CONFIG = "config.yaml"
 MADE_WITH = "made_with"
 # Options that may change when a run is resumed.
-CHANGEABLE = (
-    "total_steps",
-    "resume",
-    "repeat",
-    "run_dir",
-    "tracker",
-    "group",
-    "distributed",
-    "iterations_per_call",
-    "cores",
-)
+CHANGEABLE = ["total_steps", "resume", "repeat", "run_dir", "tracker", "group", "distributed"]
+CHANGEABLE += ["iterations_per_call", "cores"]
 
 
 class SavedConfig(NamedTuple):

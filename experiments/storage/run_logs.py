@@ -32,7 +32,8 @@ def check_logs(path: Path, seeds: list[int], marks: dict[str, LogMark]) -> None:
       ValueError: a log is missing or has changed, or holds a line of another run.
     """
     for name in LOGS:
-        read_until_mark(path / name, marks[name])
+        if name != LOGS[2] or name in marks:  # earlier versions had the times in metrics.jsonl
+            read_until_mark(path / name, marks[name])
     known = {"step": int, "transitions": int}
     for line in read_lines(path / LOGS[0], marks[LOGS[0]]["bytes"]):
         fits = all(isinstance(line.get(key), kind) for key, kind in known.items())
@@ -41,7 +42,8 @@ def check_logs(path: Path, seeds: list[int], marks: dict[str, LogMark]) -> None:
     for episode in read_episodes(path, marks[LOGS[1]]["bytes"]):
         if episode.seed not in seeds:
             raise ValueError(f"{LOGS[1]} holds a line of another run")
-    for line in read_lines(path / LOGS[2], marks[LOGS[2]]["bytes"]):
+    end = marks[LOGS[2]]["bytes"] if LOGS[2] in marks else 0
+    for line in read_lines(path / LOGS[2], end) if end else ():
         if not isinstance(line.get("wall_seconds"), float):
             raise ValueError(f"{LOGS[2]} holds a line of another run")
 
@@ -110,9 +112,10 @@ class RunLogs:
         times = read_lines(self.path / LOGS[2], self.times.size)
         own: dict[str, Any] = {"iteration": 0}
         for line in read_lines(self.path / LOGS[0], self.metrics.size):
-            while own["iteration"] < line["iteration"]:
+            # An earlier version's line holds its times itself.
+            while "wall_seconds" not in line and own["iteration"] < line["iteration"]:
                 own = next(times)
-            yield line | own
+            yield line if "wall_seconds" in line else line | own
 
     def restore_counts(self) -> None:
         """Restore the counts, the summaries and the TensorBoard events from the existing logs."""

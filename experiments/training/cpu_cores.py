@@ -21,10 +21,16 @@ def cores_for(config: Config) -> int:
     Several agents are divided among as many cores as divide their number. For a single agent with
     an intrinsic module there are two: one trains the policy, the other the module.
     """
-    there = config.cores or len(os.sched_getaffinity(0))
+    there = config.cores or usable_cores()
     if config.num_seeds == 1:
         return 1 if config.algo.name == "ppo" else min(there, 2)
     return max(n for n in range(1, min(there, MOST_CORES) + 1) if config.num_seeds % n == 0)
+
+
+def usable_cores() -> int:
+    """Return the number of cores that this process may use; a sweep divides them among its jobs."""
+    given = os.environ.get("PJRT_NPROC", "")
+    return int(given) if given.isdecimal() and int(given) else len(os.sched_getaffinity(0))
 
 
 def use_cores(config: Config) -> None:

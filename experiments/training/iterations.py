@@ -116,7 +116,7 @@ class HostIterations:
     """Iterations whose environments step outside jax."""
 
     def __init__(self, experiment: Experiment, collector: Collector | ScanCollector, watch: Watch):
-        """Prepare; nothing is compiled yet.
+        """Take the parts; nothing is compiled yet.
 
         Args:
           experiment: of the run.

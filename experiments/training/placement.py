@@ -276,6 +276,7 @@ def choose_placement(config: Config) -> SingleDevice:
       ConfigError: the environments cannot be divided among the devices.
     """
     cores = getattr(jax.config, CPU_DEVICES)  # set by `use_cores`: see `place_on_cores`
-    if jax.device_count() == 1 or jax.device_count() == cores:
+    on_cores = jax.default_backend() == "cpu" and jax.device_count() == cores
+    if jax.device_count() == 1 or on_cores:
         return SINGLE_DEVICE
     return DeviceMesh(config.num_seeds, config.num_envs)

@@ -134,7 +134,7 @@ class ScanCollector:
     """A collector whose rollouts are one program, with the results of `Collector`."""
 
     def __init__(self, pool: Pool, collect: CollectOneSeed, live: sndjax.LiveEnvironments):
-        """Prepare; nothing is compiled yet.
+        """Take the parts; nothing is compiled yet.
 
         Args:
           pool: the environments of all seeds.

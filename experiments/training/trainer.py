@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import sndjax
 
 from ..config.schema import Config
-from ..storage.array_trees import CheckpointError
 from ..storage.episodes import EpisodeTracker
 from ..storage.run_directory import FollowerDirectory, RunDirectory
 from ..storage.run_logs import mean_over_seeds
 from ..system.display import Progress
-from ..system.errors import ConfigError, NonFiniteError, TaskError
+from ..system.errors import NonFiniteError, TaskError
 from ..system.interrupts import Interrupted, Interrupts
 from ..system.jax_settings import apply_debug_settings
 from ..system.process import enable_compilation_cache
@@ -27,6 +26,7 @@ from .iterations import HostIterations, IterationResult, Iterations, Watch
 from .nonfinite import keep_failed_update, nonfinite_terms
 from .placement import choose_placement
 from .run_logger import RunLogger
+from .run_states import load_run_state, resume_run_state, trees_beside
 
 LONG_SECONDS = 60  # after a longer iteration there is always a checkpoint
 
@@ -59,40 +59,8 @@ class Trainer:
         self.collector = None if self.fused else self.experiment.make_collector()
         self.copy = jax.jit(partial(jax.tree.map, jnp.copy))
         # None: not initialized yet, or donated to a running update.
-        self.state: RunState | None = self.load()
+        self.state = resume_run_state(self.logger, self.experiment, self.episodes)
         self.logger.open_tracker()
-
-    def load(self) -> RunState | None:
-        """Return the state of the checkpoint that the run resumes from; None for a new run.
-
-        Raises:
-          ConfigError: the checkpoint cannot be used.
-        """
-        if self.logger.found is None:
-            return None
-        try:
-            return self.load_newest()
-        except CheckpointError as error:
-            where = f"resume={self.logger.shared}"
-            raise ConfigError(f"{where}: cannot be resumed: {error}") from None
-
-    def load_newest(self) -> RunState:
-        """Return the state of the newest checkpoint; the running episodes are set to its own.
-
-        Raises:
-          CheckpointError: the checkpoint cannot be used.
-        """
-        checkpoints = self.logger.checkpoints
-        assert checkpoints.newest is not None
-        train = checkpoints.load(checkpoints.newest, self.experiment.state_shapes())
-        environments = ()
-        if self.fused:
-            shapes = self.experiment.environment_shapes()
-            like = {"environments": shapes, "episodes": self.episodes.arrays()}
-            beside = checkpoints.load_beside(checkpoints.newest, like)
-            self.episodes.restore(beside["episodes"])
-            environments = beside["environments"]
-        return RunState(*map(self.placement.put_states, (train, environments)))
 
     def save(self, state: RunState) -> None:
         """Start to write a checkpoint.
@@ -100,9 +68,7 @@ class Trainer:
         Raises:
           OSError: the logs or the previous checkpoint could not be written.
         """
-        environments = {"environments": self.placement.to_host(state.environments)}
-        beside = environments | {"episodes": self.episodes.arrays()} if self.fused else {}
-        self.logger.save(state.train, beside)
+        self.logger.save(state.train, trees_beside(state, self.experiment, self.episodes))
 
     def train(self, interrupts: Interrupts) -> None:
         """Run all remaining iterations, and log each.
@@ -262,15 +228,18 @@ class Trainer:
         ]
         if all(fine):
             return
+        load_newest = partial(
+            load_run_state, self.logger.checkpoints, self.experiment, self.episodes
+        )
         i = fine.index(False)
         first = before  # before the iterations that are logged now
         if first is None and i > 0:
-            first = self.load_newest()
+            first = load_newest()
         for result in results[:i]:
             self.log(result)
 
         def recover() -> tuple[RunState, sndjax.Experience]:
-            return self.iterations.repeat(first or self.load_newest(), i, batch)
+            return self.iterations.repeat(first or load_newest(), i, batch)
 
         self.state, message = keep_failed_update(
             self.logger, self.experiment, results[i], recover, self.save

@@ -80,7 +80,7 @@ def test_run_several_seeds_each_starts_as_it_would_alone(env, tmp_path):
     many = [entry for entry in lines(tmp_path / "many") if entry["seed"] == 5]
     assert len(many) == 2
     assert {entry["seed"] for entry in lines(tmp_path / "many")} == {4, 5}
-    for one, other in zip(many(lines(tmp_path / "alone")), strict=True):
+    for one, other in zip(many, lines(tmp_path / "alone"), strict=True):
         for key, value in one.items():
             if isinstance(value, float):
                 assert other[key] == pytest.approx(value, rel=0.02, abs=1e-4), key

@@ -30,7 +30,7 @@ def test_run_same_command_at_once_and_repeated_gives_the_same_bits(arguments, it
     with start(again, tmp_path) as process:
         _, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
-    (at, first), entries = tree_of(tmp_path / "a")(lines(tmp_path / "a"))
+    (at, first), entries = tree_of(tmp_path / "a"), lines(tmp_path / "a")
     assert at == iterations
     assert len(entries) == 2 * iterations
     for name in "bc":

@@ -37,6 +37,13 @@ def config_of(*arguments):
     return load_config([*arguments, "algo=ppo"])
 
 
+@pytest.fixture(autouse=True)
+def lenient():
+    """Let the libraries broadcast as they do for their own users."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
 def needs(arguments):
     """Skip the test if the package of the suite is not installed."""
     suite = arguments[0].removeprefix("env=")

@@ -1,3 +1,4 @@
+import hashlib
 import json
 import math
 
@@ -123,6 +124,25 @@ def test_RunLogs_resumed_cuts_later_lines_and_counts_earlier_ones(tmp_path):
     records.summarize(32)
     for name in ("metrics.jsonl", "episodes.csv", "summary.json"):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
+
+
+def test_RunLogs_of_an_earlier_version_with_times_in_their_lines_resume(tmp_path):
+    records, manifest = filled(tmp_path / "a", 2, marked=2)
+    records.close()
+    path = tmp_path / "a" / "metrics.jsonl"
+    entries = [json.loads(line) for line in path.read_text().splitlines()]
+    old = "".join(json.dumps(e | {"wall_seconds": 3.0 * e["iteration"]}) + "\n" for e in entries)
+    path.write_text(old)
+    (tmp_path / "a" / "times.jsonl").unlink()
+    digest = hashlib.sha256(old.encode()).hexdigest()
+    marks = {"episodes.csv": manifest["logs"]["episodes.csv"]}
+    marks["metrics.jsonl"] = manifest["logs"]["metrics.jsonl"] | {"bytes": len(old)}
+    marks["metrics.jsonl"]["sha256"] = digest
+    check_logs(tmp_path / "a", [4, 5], marks)
+    records = RunLogs(tmp_path / "a", [4, 5], rooms=True, marks=marks)
+    assert records.wall_seconds == 6.0
+    log_pair(records, 3)
+    assert [line["wall_seconds"] for line in records.read_back()] == [3.0, 3.0, 6.0, 6.0, 6.0, 6.0]
 
 
 def test_check_logs_changed_before_the_checkpoint_are_refused(tmp_path):

@@ -35,8 +35,16 @@ def started(*arguments):
     return experiment, RunState(train, experiment.init_environments(train))
 
 
+@pytest.fixture
+def optimized():
+    """Let XLA optimize as it does in a run."""
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)
+
+
 @pytest.mark.parametrize("seeds", [1, 2])
-def test_make_iterations_fused_equals_collect_and_train_step_bit_for_bit(seeds):
+def test_make_iterations_fused_equals_collect_and_train_step_bit_for_bit(seeds, optimized):
     experiment, state = started("algo=snd_vic", f"num_seeds={seeds}")
     fused, rows, batch = jax.jit(make_iterations(experiment, 5))(state, jnp.int32(3))
     collect = jax.jit(
