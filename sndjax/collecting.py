@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 from sndjax.acting import Actor, AgentSpec, act
 from sndjax.jax_environment import (
     JaxEnvironment,
+    Keys,
     check_environment,
     environment_keys,
     is_number,
@@ -58,8 +59,23 @@ def init_environments(
     Raises:
       ValueError: the environment's functions do not fit each other.
     """
+    return init_with_keys(env, environment_keys(key, num_envs), stack)
+
+
+def init_with_keys(env: JaxEnvironment, keys: Keys, stack: int = 1) -> LiveEnvironments:
+    """Reset N environments, each with a key of its own. See `init_environments`.
+
+    Args:
+      env: the environment.
+      keys: of the resets.
+      stack: the number of frames that the policy sees.
+
+    Raises:
+      ValueError: the environment's functions do not fit each other.
+    """
     check_environment(env)
-    state, frame = jax.vmap(env.reset)(environment_keys(key, num_envs))
+    state, frame = jax.vmap(env.reset)(keys)
+    num_envs = frame.shape[0]
     strong = lambda x: lax.convert_element_type(x, x.dtype) if is_number(x) else x
     state, frame = jax.tree.map(strong, (state, frame))
     return LiveEnvironments(
@@ -85,7 +101,23 @@ def step_environments(
     Returns:
       The row, and the environments after it, with the window as it was.
     """
-    keys = environment_keys(key, live.ended.shape[0])
+    return step_with_keys(env, live, action, environment_keys(key, live.ended.shape[0]))
+
+
+def step_with_keys(
+    env: JaxEnvironment, live: LiveEnvironments, action: Int[Array, " N"], keys: Keys
+) -> tuple[EnvironmentRow, LiveEnvironments]:
+    """Step N environments, each with a key of its own. See `step_environments`.
+
+    Args:
+      env: the environment.
+      live: the environments before.
+      action: their actions.
+      keys: of this step.
+
+    Returns:
+      The row, and the environments after it.
+    """
     state, frame, reward, terminated, truncated = jax.vmap(env.step)(keys, live.state, action)
     state, frame = reset_ended(env, live.ended, keys, (state, frame))
     row = make_row(live, reward, terminated, truncated)

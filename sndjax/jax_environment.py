@@ -29,6 +29,7 @@ class JaxEnvironment(NamedTuple):
       high: the largest value.
       categories: for observations whose integers are categories, their number in each component
         (an array that broadcasts to the observation's shape); else None.
+      draw: state -> image uint8[H, W, 3], called outside `jax.jit`; None: it cannot be drawn.
     """
 
     reset: EnvironmentReset
@@ -37,6 +38,7 @@ class JaxEnvironment(NamedTuple):
     low: Any = -jnp.inf
     high: Any = jnp.inf
     categories: Any = None
+    draw: Callable[[Any], Any] | None = None
 
 
 def check_environment(env: JaxEnvironment) -> None:

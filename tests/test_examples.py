@@ -4,8 +4,12 @@ import importlib.util
 import json
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
+import sndjax
 from experiments.run import main
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -68,3 +72,36 @@ def test_own_environment_vector_or_image_trains_with_right_counts(image, tmp_pat
     assert [entry["step"] for entry in entries] == [64, 128]
     assert entries[-1]["transitions"] == 128 - 2  # each corridor is reset once, after 60 steps
     assert entries[-1]["episodes"] == 2
+
+
+def test_pure_jax_environment_equals_gymnax_deep_sea():
+    gymnax = pytest.importorskip("gymnax")
+    sea = load("pure_jax")
+    env, params = gymnax.make("DeepSea-bsuite", size=sea.SIZE)
+    rng = np.random.default_rng(0)
+    _, wanted = env.reset_env(jax.random.key(0), params)
+    state, _ = sea.reset(jax.random.key(0))
+    for t in range(sea.SIZE):
+        # What "right" is differs: each follows its own mapping of actions.
+        right = rng.random() < 0.8
+        own = sea.LEFT_OR_RIGHT[tuple(state)]
+        action = own if right else ~own
+        other = wanted.action_mapping[wanted.row, wanted.column]
+        frame, wanted, reward, end, _ = env.step_env(
+            jax.random.key(t), wanted, other if right else 1 - other, params
+        )
+        state, look, mine, ended, _ = sea.step(None, state, action)
+        np.testing.assert_array_equal(look, frame.ravel())
+        assert float(mine) == pytest.approx(float(reward), abs=1e-7)
+        assert bool(ended) == bool(end)
+    assert bool(ended)
+
+
+def test_pure_jax_trains_all_seeds_in_one_function():
+    sea = load("pure_jax")
+    sea.ITERATIONS = 2
+    for bonus in (None, sndjax.rnd):
+        found = jax.jit(jax.vmap(lambda seed, bonus=bonus: sea.train(bonus, seed)))(jnp.arange(2))
+        assert found.shape == (2, 2)
+        assert (found >= 0).all()
+    assert len((EXAMPLES / "pure_jax.py").read_text().splitlines()) < 70

@@ -4,8 +4,10 @@ Each library's own step and reset are used without its automatic resets: some of
 episode's last observation or go back to stored first states.
 """
 
+import importlib
 from collections.abc import Callable, Iterable
 from dataclasses import fields
+from functools import cache
 from typing import Any
 
 import jax
@@ -26,6 +28,8 @@ from .observations import Reader
 Options = dict[str, Any]
 MINIGRID_KINDS = (11, 6, 4)  # navix' objects, colours and states
 XMINIGRID_KINDS = (13, 12)  # its tiles and colours
+CRAFTAX_PIXELS = 16  # the side of a drawn block, for which Craftax has pictures
+GRID_PIXELS = 320  # the larger side of a drawn grid
 SMALL = 32  # an observation of navix with a smaller side is of categories
 
 
@@ -63,7 +67,9 @@ def make_gymnax(name: str, options: Options) -> sndjax.JaxEnvironment:
         observation, state, reward, terminated, _ = env.step_env(key, state, action, params)
         return state, observation, reward, terminated, env.is_truncated(state, params)
 
-    return spaces_of(env, params, reset, step)
+    grid = len(env.observation_space(params).shape) in (2, 3)
+    made = spaces_of(env, params, reset, step)
+    return made._replace(draw=lambda state: draw_grid(env.get_obs(state))) if grid else made
 
 
 def make_craftax(name: str, options: Options) -> sndjax.JaxEnvironment:
@@ -85,7 +91,17 @@ def make_craftax(name: str, options: Options) -> sndjax.JaxEnvironment:
         terminated = env.is_terminal(state.replace(timestep=0), params)
         return state, observation, reward, terminated, state.timestep >= params.max_timesteps
 
-    return spaces_of(env, params, reset, step)
+    place = "craftax.craftax_classic" if "Classic" in name else "craftax.craftax"
+
+    @cache
+    def renderer() -> Any:
+        module = importlib.import_module(f"{place}.renderer")
+        return jax.jit(module.make_craftax_pixel_renderer(CRAFTAX_PIXELS))
+
+    def draw(state: Any) -> np.ndarray:
+        return np.clip(renderer()(state), 0, 255).astype(np.uint8)
+
+    return spaces_of(env, params, reset, step)._replace(draw=draw)
 
 
 def spaces_of(env: Any, params: Any, reset: Any, step: Any) -> sndjax.JaxEnvironment:
@@ -111,6 +127,21 @@ def spaces_of(env: Any, params: Any, reset: Any, step: Any) -> sndjax.JaxEnviron
     return sndjax.JaxEnvironment(reset, step, int(actions.n), low=space.low, high=space.high)
 
 
+def draw_grid(grid: Any) -> np.ndarray:
+    """Return an image of a grid of numbers or of channels, with a colour for each channel.
+
+    Args:
+      grid: [H, W] or [H, W, C], of 0 to 1.
+    """
+    grid = np.asarray(grid, np.float32)
+    channels = grid[..., None] if grid.ndim == 2 else grid
+    hues = np.arange(channels.shape[-1]) / channels.shape[-1]
+    colours = np.stack([(1 + np.cos(2 * np.pi * (hues + k / 3))) / 2 for k in range(3)], axis=-1)
+    image = np.clip(channels @ colours, 0, 1) * 255
+    side = max(1, GRID_PIXELS // max(grid.shape[:2]))
+    return image.astype(np.uint8).repeat(side, 0).repeat(side, 1)
+
+
 def make_xminigrid(name: str, options: Options) -> sndjax.JaxEnvironment:
     """Make a task of XLand-MiniGrid; options are fields of its parameters, such as `max_steps`."""
     import xminigrid
@@ -129,7 +160,8 @@ def make_xminigrid(name: str, options: Options) -> sndjax.JaxEnvironment:
         return timestep, observation, reward, ended & terminated, ended & ~terminated
 
     actions = env.num_actions(params)
-    return sndjax.JaxEnvironment(reset, step, actions, categories=XMINIGRID_KINDS)
+    draw = lambda timestep: env.render(params, timestep)
+    return sndjax.JaxEnvironment(reset, step, actions, categories=XMINIGRID_KINDS, draw=draw)
 
 
 def make_navix(name: str, options: Options) -> sndjax.JaxEnvironment:
@@ -153,10 +185,11 @@ def make_navix(name: str, options: Options) -> sndjax.JaxEnvironment:
         return timestep, timestep.observation, timestep.reward, *ends
 
     actions, shape = len(env.action_set), env.observation_space.shape
+    draw = lambda timestep: navix.observations.rgb(timestep.state)
+    made = sndjax.JaxEnvironment(reset, step, actions, low=0, high=255, draw=draw)
     if len(shape) == 3 and shape[0] >= SMALL:
-        return sndjax.JaxEnvironment(reset, step, actions, low=0, high=255)
-    kinds = MINIGRID_KINDS if len(shape) == 3 else MINIGRID_KINDS[0]
-    return sndjax.JaxEnvironment(reset, step, actions, categories=kinds)
+        return made
+    return made._replace(categories=MINIGRID_KINDS if len(shape) == 3 else MINIGRID_KINDS[0])
 
 
 def make_own(reference: str, options: Options) -> sndjax.JaxEnvironment:

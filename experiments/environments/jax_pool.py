@@ -1,12 +1,12 @@
 """A pool of environments that live in JAX, for agents that play step by step."""
 
-from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-import sndjax
+from sndjax.collecting import init_with_keys, step_with_keys
 
 from ..config.envpool_tasks import gym
 from ..config.schema import EnvConfig
@@ -23,13 +23,13 @@ class JaxPool(Pool):
         actions: Any = gym.spaces.Discrete(env.num_actions)
         super().__init__(config, len(seeds), len(seeds[0]), space, actions)
         self.environment = read_frames(env, self.reader)
-        # A pool of one host: the stream of an agent's environments is that of its first one.
-        self.keys = [jax.random.key(own[0]) for own in seeds]
-        self.make = jax.jit(partial(sndjax.init_environments, env, num_envs=len(seeds[0])))
+        # A key for each environment, from its seed: it plays alike in every pool.
+        self.keys = [jax.vmap(jax.random.key)(jnp.array(own, jnp.uint32)) for own in seeds]
+        fold = jax.vmap(jax.random.fold_in, (0, None))
+        self.make = jax.jit(lambda keys: init_with_keys(env, fold(keys, 0)))
 
-        def step(live: Any, action: Any, key: Any, t: Any) -> Any:
-            key = jax.random.fold_in(key, t)
-            row, after = sndjax.step_environments(env, live, action, key)
+        def step(live: Any, action: Any, keys: Any, t: Any) -> Any:
+            row, after = step_with_keys(env, live, action, fold(keys, t))
             return (after.frame, row.reward, row.done & ~row.truncated, row.truncated), after
 
         self.step_one = jax.jit(step)
@@ -37,15 +37,15 @@ class JaxPool(Pool):
     def reset(self) -> np.ndarray:
         self.time = 0
         with task_errors(self.config.id):
-            self.live = [self.make(jax.random.fold_in(key, 0)) for key in self.keys]
+            self.live = [self.make(keys) for keys in self.keys]
             return self.first_frames(self.joined([live.frame for live in self.live]))
 
     def send(self, action: np.ndarray) -> None:
         self.time += 1
         with task_errors(self.config.id):
             steps = [
-                self.step_one(live, np.asarray(chosen, np.int32), key, self.time)
-                for live, chosen, key in zip(self.live, action, self.keys, strict=True)
+                self.step_one(live, np.asarray(chosen, np.int32), keys, self.time)
+                for live, chosen, keys in zip(self.live, action, self.keys, strict=True)
             ]
         self.columns = [columns for columns, _ in steps]
         self.live = [live for _, live in steps]
@@ -59,6 +59,14 @@ class JaxPool(Pool):
     def joined(parts: Any) -> np.ndarray:
         """Return the arrays of all seeds as one, [S * N, ...]."""
         return np.concatenate([np.asarray(part) for part in parts])
+
+    def draw(self) -> np.ndarray:
+        assert self.environment is not None
+        if self.environment.draw is None:
+            return super().draw()
+        with task_errors(self.config.id):
+            first = jax.tree.map(lambda x: x[0], self.live[0].state)
+            return np.asarray(self.environment.draw(first))
 
     def close(self) -> None:
         """Do nothing: these environments have no processes."""

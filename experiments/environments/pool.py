@@ -171,6 +171,14 @@ class Pool:
         self.send(action)
         return self.receive()
 
+    def draw(self) -> np.ndarray:
+        """Return an image of the state of the first environment, uint8 [H, W, 3].
+
+        Raises:
+          ConfigError: the task has no images.
+        """
+        raise ConfigError(f"{self.config.id} cannot be drawn")
+
     def close(self) -> None:
         """Stop the environments."""
         raise NotImplementedError

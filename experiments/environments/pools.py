@@ -74,6 +74,10 @@ class EnvpoolPool(Pool):
                 game_over = over | truncated
             return self.step_of(observation, reward, score, terminated, truncated, game_over, room)
 
+    def draw(self) -> np.ndarray:
+        """Return an image of the first environment; the pool needs `render_mode="rgb_array"`."""
+        return np.asarray(self.envs.render(env_ids=np.zeros(1, int)))[0]
+
     def close(self) -> None:
         self.envs.close()
 
@@ -155,14 +159,31 @@ def make_pools(
     Raises:
       ConfigError: the task cannot be made with these options, or cannot be trained on.
     """
-    kind: Any = {"envpool": EnvpoolPool, "gymnasium": GymnasiumPool}.get(config.suite)
-    if kind is None:
-        from .jax_pool import JaxPool as kind  # imports jax
     streams = [env_seeds(seed, num_envs, start)[local_envs] for seed in seeds]
     size = len(streams[0]) // groups
     return [
-        kind(config, [own[k * size : (k + 1) * size] for own in streams]) for k in range(groups)
+        make_pool_of(config, [own[k * size : (k + 1) * size] for own in streams])
+        for k in range(groups)
     ]
+
+
+def make_pool_of(config: EnvConfig, streams: list[list[int]]) -> Pool:
+    """Return a pool of environments with given seeds.
+
+    Args:
+      config: the task and how it is read.
+      streams: the seed of each environment of each agent.
+
+    Raises:
+      ConfigError: the task cannot be made with these options, or cannot be trained on.
+    """
+    if config.suite == "envpool":
+        return EnvpoolPool(config, streams)
+    if config.suite == "gymnasium":
+        return GymnasiumPool(config, streams)
+    from .jax_pool import JaxPool  # imports jax
+
+    return JaxPool(config, streams)
 
 
 def make_pool(config: EnvConfig, seeds: list[int], num_envs: int, start: int = 0) -> Pool:

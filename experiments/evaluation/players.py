@@ -17,7 +17,7 @@ from sndjax.rollout import stack_to_channels
 from ..config.saved import CONFIG, check_code, read_saved
 from ..config.schema import Config
 from ..config.validation import validate_config
-from ..environments.pools import EnvpoolPool, env_seeds, make_pool, whole_games
+from ..environments.pools import env_seeds, make_pool, make_pool_of, whole_games
 from ..storage.array_trees import CheckpointError
 from ..storage.checkpoints import Checkpoints
 from ..system.errors import ConfigError
@@ -224,29 +224,29 @@ def play_episodes(
 def render_episode(player: Player, episode: PlayedEpisode) -> Iterator[np.ndarray]:
     """Yield an image of every state of an episode, uint8[H, W, 3].
 
-    An envpool task is played a second time, and envpool renders its states. For other tasks the
-    images are the frames.
+    A task of envpool or in JAX is played a second time, and its states are drawn. For other tasks
+    the images are the frames.
 
     Args:
       player: the agent that played.
       episode: the episode, with all its frames.
 
     Raises:
-      ConfigError: a gymnasium task has no images, or the second time the frames are different.
+      ConfigError: the task has no images, or the second time the frames are different.
     """
     env = player.config.env
-    if env.suite != "envpool":
+    if env.suite == "gymnasium":
         if episode.frames.dtype != np.uint8:
             raise ConfigError(f"{env.id}: of gymnasium's tasks only those with images can be drawn")
         yield from map(to_rgb, episode.frames)
         return
-    drawn = replace(env, options={**env.options, "render_mode": "rgb_array"})
-    pool = EnvpoolPool(drawn, [[episode.stream]])
+    options = {"render_mode": "rgb_array"} if env.suite == "envpool" else {}
+    pool = make_pool_of(replace(env, options=env.options | options), [[episode.stream]])
     frame = pool.reset()[0, 0]
     for t in range(len(episode.frames)):
         if not np.array_equal(frame, episode.frames[t]):
             raise ConfigError(f"{env.id}: the replay differs from the recorded episode at step {t}")
-        yield np.asarray(pool.envs.render(env_ids=np.zeros(1, int)))[0]
+        yield pool.draw()
         if t < len(episode.executed):
             frame = pool.step(episode.executed[None, t : t + 1]).frame[0, 0]
     pool.close()

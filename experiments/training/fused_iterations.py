@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -120,7 +120,9 @@ class FusedIterations:
         """Return the number of iterations of the next call, at most `most`."""
         wanted = self.experiment.config.iterations_per_call
         if wanted is None:
-            wanted = 1 if self.seconds is None else round(CALL_SECONDS / self.seconds)
+            # Several hosts must agree, and their clocks do not.
+            unknown = self.seconds is None or self.watch.hosts > 1
+            wanted = 1 if unknown else round(CALL_SECONDS / cast(float, self.seconds))
         return max(1, min(wanted, most, self.most))
 
     def run(

@@ -3,6 +3,8 @@
 import tracemalloc
 
 import gymnasium as gym
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -179,3 +181,41 @@ def test_VectorReader_large_discrete_space_needs_memory_of_its_rows_alone():
 @pytest.mark.parametrize("shape", [(4,), (7, 7, 3), (2, 3, 4, 5, 6), (31, 84, 3)])
 def test_find_layout_other_shapes_are_no_images(shape):
     assert find_layout(shape, 32) is None
+
+
+def spaces_and_values(rng):
+    """Yield a space, and a batch of its observations."""
+    box = gym.spaces.Box(np.float32([-2, 0, -np.inf]), np.float32([4, 0, np.inf]))
+    yield box, np.float32(rng.normal(size=(5, 3)))
+    codes = gym.spaces.MultiDiscrete(np.array([[3, 2], [4, 2]]), start=np.array([[0, 1], [0, 0]]))
+    yield codes, rng.integers(0, 2, (5, 2, 2)) + codes.start
+    yield gym.spaces.Discrete(4, start=2), rng.integers(2, 6, 5)
+    yield (
+        gym.spaces.Box(0, 255, (3, 40, 32), np.uint8),
+        rng.integers(0, 256, (5, 3, 40, 32), "uint8"),
+    )
+    yield gym.spaces.Box(0, 1, (40, 32), np.float32), rng.random((5, 40, 32), "float32")
+
+
+@pytest.mark.parametrize("kind", range(5))
+def test_read_arrays_of_jax_as_those_of_numpy(kind):
+    space, value = list(spaces_and_values(np.random.default_rng(0)))[kind]
+    reader = make_reader(space, EnvConfig(name="x", id="x"))
+    read = jax.jit(reader.read)(jnp.asarray(value))
+    wanted = reader.read(value)
+    assert read.shape == wanted.shape == (5, *reader.shape)
+    assert read.dtype == wanted.dtype == reader.dtype
+    np.testing.assert_allclose(read, wanted, atol=1e-6)
+
+
+def test_read_MultiDiscrete_is_one_hot_in_each_component():
+    space, value = list(spaces_and_values(np.random.default_rng(0)))[1]
+    read = make_reader(space, EnvConfig(name="x", id="x")).read(value)
+    for row, codes in zip(read, value, strict=True):
+        wanted = []
+        for i in range(2):
+            for j in range(2):
+                hot = np.zeros(space.nvec[i, j])
+                hot[codes[i, j] - space.start[i, j]] = 1
+                wanted += [*hot]
+        np.testing.assert_array_equal(row, wanted)

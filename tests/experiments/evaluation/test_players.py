@@ -28,12 +28,15 @@ from experiments.evaluation.players import (
     play_episodes,
     render_episode,
 )
+from experiments.run import main as train
 from experiments.system.errors import ConfigError
 from sndjax import Rollout
 from sndjax.rollout import push_frame, stack_to_channels
 
 CAR = ["env=MountainCar", "num_envs=8", "rollout_length=32", "ppo.minibatch_size=128"]
 CAR += ["algo.minibatch_size=128", "num_seeds=2", "total_steps=1000"]
+SEA = ["num_envs=4", "rollout_length=16", "ppo.minibatch_size=32", "algo.minibatch_size=32"]
+SEA += ["total_steps=128"]
 PIXELS = ["env=MontezumaRevenge", "num_envs=4", "rollout_length=16", "ppo.minibatch_size=64"]
 PIXELS += ["algo.minibatch_size=64", "ppo.epochs=1", "total_steps=64"]
 
@@ -242,3 +245,21 @@ def test_play_episodes_of_a_run_on_lives_are_whole_games(tmp_path):
         _, _, terminated, _, info = game.step(episode.executed[-1:].astype(np.int32))
         assert terminated[0]
         assert info["lives"][0] == 0
+
+
+def test_record_of_an_environment_in_jax_draws_every_state(tmp_path):
+    pytest.importorskip("gymnax")
+    path = tmp_path / "run"
+    sea = ["env=gymnax", "env.id=DeepSea-bsuite", "env.options.size=6", "algo=rnd", *SEA]
+    assert train([*sea, f"run_dir={path}"]) == 0
+    (player,) = load_players(path)
+    for episode in play_episodes(player, 3):
+        assert len(episode.action) == 6
+        pictures = list(render_episode(player, episode))
+        assert len(pictures) == 7
+        for k, picture in enumerate(pictures):
+            assert picture.shape == (318, 318, 3)  # 6 cells of 53 pixels
+            lit = (picture.max(-1) > 0).reshape(6, 53, 6, 53).all((1, 3))
+            assert lit.sum() == (k < 6)  # behind the last row there is nothing
+            if k < 6:
+                assert lit[k].any()

