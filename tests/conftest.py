@@ -1,5 +1,9 @@
 """Check the shapes in signatures at run time, and forbid broadcasting between ranks."""
 
+from experiments.system.process import configure_xla
+
+configure_xla()  # before jax starts: without it agents under vmap can wait for ever on two cores
+
 import jax
 import pytest
 from jaxtyping import install_import_hook
