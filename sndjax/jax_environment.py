@@ -117,7 +117,15 @@ def reset_ended(env: JaxEnvironment, ended: Bool[Array, " N"], keys: Keys, live:
     def reset_of_all(
         axis_size: int, in_batched: Any, ended: Any, keys: Any, live: Any
     ) -> tuple[Any, Any]:
-        """Join the mapped axis with that of the environments; Returns the result and its axes."""
+        """Join the mapped axis with that of the environments, and return the result and its axes.
+
+        Args:
+          axis_size: of the mapped axis.
+          in_batched: which arguments have it.
+          ended: which environments are reset.
+          keys: the key of each.
+          live: state and frame of each.
+        """
         repeat = lambda x, has: x if has else jnp.broadcast_to(x, (axis_size, *x.shape))
         args = jax.tree.map(repeat, (ended, keys, live), tuple(in_batched))
         joined = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), args)

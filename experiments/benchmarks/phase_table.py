@@ -9,8 +9,8 @@ def phase_table(measured: dict[str, Any]) -> str:
     whole = sum(per_1000.values())
     lines = [f"{'phase':<14}{'s / 1,000 steps':>16}{'share':>8}"]
     for name, seconds in per_1000.items():
-        lines.append(f"{name:<14}{seconds:>16.3f}{seconds / whole:>8.1%}")
-    lines.append(f"{'all of it':<14}{whole:>16.3f}{'100%':>8}")
+        lines.append(f"{name:<14}{seconds:>16.3g}{seconds / whole:>8.1%}")
+    lines.append(f"{'all of it':<14}{whole:>16.3g}{'100%':>8}")
     share = measured["share_of_peak"]
     lines += [
         f"{measured['steps_per_second']:,.1f} steps/s on {measured['device']}",

@@ -46,7 +46,13 @@ def make_pool_step(pool: EnvpoolPool) -> Callable[[Any], tuple[Any, ...]]:
 
     @step.def_vmap
     def step_seeds(axis_size: int, in_batched: Any, action: Any) -> tuple[Any, Any]:
-        """Step the environments of all seeds, and return the results and their axes."""
+        """Step the environments of all seeds, and return the results and their axes.
+
+        Args:
+          axis_size: S.
+          in_batched: whether the argument has the axis of the seeds, which it has.
+          action: [S, N].
+        """
         columns = step_all(action.reshape(-1))
         split = lambda x: x.reshape(axis_size, -1, *x.shape[1:])
         return tuple(map(split, columns)), (True,) * len(columns)
