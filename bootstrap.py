@@ -3,7 +3,8 @@
 `make .venv` runs it with any Python.
 
 With the argument `sweeps` it adds the packages for sweeps on clusters and for trackers, with
-`jax-envs` the environments that live in JAX. The tests need both.
+`jax-envs` the environments that live in JAX; the tests need both. `docs` adds what builds the
+manual.
 
 Old versions of Python must be able to parse this file, so that it can report that they are too old.
 """
@@ -31,10 +32,12 @@ def check_platform():
             "needs Python 3.11 or newer, and %s is %s; install one and run: make PYTHON=python3.12"
             % (sys.executable, platform.python_version())
         )
-    if sys.platform != "linux" or platform.machine() not in ("x86_64", "AMD64"):
+    system = (sys.platform, platform.machine())
+    if system not in (("linux", "x86_64"), ("linux", "aarch64"), ("darwin", "arm64")):
         stop(
-            "is locked to the wheels of Linux on x86-64, and this is %s on %s; use a container "
-            "or a remote machine" % (platform.system(), platform.machine())
+            "is locked to wheels that Linux on x86-64 and ARM and macOS on ARM have, and this is "
+            "%s on %s; use a container or a remote machine"
+            % (platform.system(), platform.machine())
         )
 
 
@@ -111,6 +114,7 @@ def complete(name):
 EXTRAS = {
     "sweeps": "launchers and trackers, about 400 MB",
     "jax-envs": "environments in JAX, about 200 MB",
+    "docs": "what builds the manual, about 100 MB",
 }
 
 

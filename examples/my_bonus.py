@@ -27,6 +27,4 @@ def info_nce(temperature: float = 0.1) -> sndjax.Objective:
 
 def my_bonus(num_actions: int, size: sndjax.Architecture) -> sndjax.IntrinsicModule:
     """Make SND with this objective; `"noveld"` in place of `"distillation"` makes NovelD."""
-    return sndjax.make_module_from_recipe(
-        sndjax.ObjectiveRecipe(info_nce), "distillation", num_actions, size
-    )
+    return sndjax.make_module(info_nce, "distillation", num_actions, size)

@@ -5,6 +5,7 @@
 """
 
 from importlib import import_module
+from importlib.util import find_spec
 
 from .system.errors import print_error
 from .system.process import run_script
@@ -41,6 +42,8 @@ ALIASES = {  # earlier names
     "evidence": "gpu_suite",
     "peers": "external",
 }
+
+LAB_PACKAGES = ("envpool", "gymnasium", "hydra", "matplotlib", "omegaconf")  # of the extra `lab`
 
 
 def help_text() -> str:
@@ -80,6 +83,11 @@ def main(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(help_text())
         return 0 if arguments else 2
+    if missing := [package for package in LAB_PACKAGES if find_spec(package) is None]:
+        return print_error(
+            f"{missing[0]} is not installed: the commands are the laboratory, and this is the "
+            "library alone; run: pip install 'sndjax[lab]'"
+        )
     name, rest = split_command(arguments)
     if name not in COMMANDS:
         from .config.validation import unknown_name_error

@@ -8,7 +8,7 @@ A module is four pure functions: `init`, `reward`, `loss` and `update`; see `Int
 >>> params, state = module.init(jax.random.key(0), jnp.zeros((1, 2)))
 """
 
-from sndjax.acting import Actor, ActOutput, AgentSpec, IntrinsicConfig, act
+from sndjax.acting import Actor, ActOutput, AgentSpec, act
 from sndjax.algorithm_table import ALGORITHMS
 from sndjax.algorithms import (
     icm,
@@ -32,9 +32,10 @@ from sndjax.collecting import (
     init_environments,
     step_environments,
 )
-from sndjax.grid import ObjectiveRecipe, make_module, make_module_from_recipe
+from sndjax.grid import ObjectiveRecipe, make_module
 from sndjax.guard import all_finite, skip_nonfinite
 from sndjax.intrinsic_module import IntrinsicModule
+from sndjax.intrinsic_training import IntrinsicConfig
 from sndjax.jax_environment import JaxEnvironment
 from sndjax.module import make_intrinsic_module
 from sndjax.networks import (
@@ -151,7 +152,6 @@ __all__ = [
     "inverse_dynamics_loss",
     "make_intrinsic_module",
     "make_module",
-    "make_module_from_recipe",
     "make_named",
     "make_train_step",
     "masked_mean",

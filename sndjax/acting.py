@@ -9,25 +9,13 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax import ppo
-from sndjax.intrinsic_module import IntrinsicModule
+from sndjax.intrinsic_training import IntrinsicConfig
 from sndjax.networks import ActorCritic, match_dtype
 from sndjax.rollout import FrameStack, push_frame, stack_to_channels
-from sndjax.scaling import RewardScale
 from sndjax.statistics import std
 from sndjax.types import Params, RunningStatistics
 
 LARGEST_MEAN = 10.0  # of an unbounded component, after it is scaled
-
-
-class IntrinsicConfig(NamedTuple):
-    """An intrinsic module, and how its signal and its training are used."""
-
-    module: IntrinsicModule
-    eta: float = 0.5
-    reward_scale: RewardScale = "none"
-    learning_rate: float = 1e-4
-    minibatch_size: int = 512
-    shuffle: bool = False  # False: minibatches are runs of consecutive time steps
 
 
 class AgentSpec(NamedTuple):
@@ -45,7 +33,7 @@ class AgentSpec(NamedTuple):
         policy = optax.chain(
             optax.clip_by_global_norm(self.ppo.max_grad_norm), optax.adam(self.ppo.learning_rate)
         )
-        return policy, optax.adam(self.intrinsic.learning_rate if self.intrinsic else 0.0)
+        return policy, self.intrinsic.optimizer() if self.intrinsic else optax.adam(0.0)
 
 
 class Actor(NamedTuple):

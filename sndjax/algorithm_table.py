@@ -18,7 +18,7 @@ class Algorithm(NamedTuple):
       signal: a file of `sndjax/signals/`.
       summary: what it is, in a few words.
       source: where the thesis (or the article) defines it.
-      options: further arguments of `sndjax.make_module_from_recipe`.
+      options: further arguments of `sndjax.make_module`.
       objective_options: arguments of the objective's constructor.
     """
 

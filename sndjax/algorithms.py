@@ -2,7 +2,7 @@
 
 What each is made of stands in `sndjax.algorithm_table`. Each takes the number of actions and an
 `Architecture`, returns an `IntrinsicModule`, and passes further options on to
-`sndjax.make_module_from_recipe`: `preprocess`, `activation`, `pairing` for those with a predictor,
+`sndjax.make_module`: `preprocess`, `activation`, `pairing` for those with a predictor,
 `gradient` for those with a forward model.
 """
 
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from sndjax.algorithm_table import ALGORITHMS
-from sndjax.grid import OBJECTIVES, make_module_from_recipe
+from sndjax.grid import make_module
 from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.networks import ATARI, Architecture
 
@@ -36,8 +36,8 @@ def make_named(
     if row is None or row.objective is None or row.signal is None:
         known = ", ".join(name for name, make in NAMED.items() if make)
         raise ValueError(f"no intrinsic module is called '{name}'; there is {known}")
-    return make_module_from_recipe(
-        OBJECTIVES[row.objective],
+    return make_module(
+        row.objective,
         row.signal,
         num_actions,
         size,

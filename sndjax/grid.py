@@ -7,7 +7,7 @@ own published experiments ran; `sndjax/algorithm_table.py` names the cells of th
 from collections.abc import Callable, Mapping
 from inspect import isfunction, signature
 from types import ModuleType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from sndjax import objectives, signals
 from sndjax.convolution import Convolution
@@ -47,6 +47,11 @@ class ObjectiveRecipe(NamedTuple):
     wider_predictor: bool = True
 
 
+AnyObjective = str | Objective | ObjectiveRecipe | Callable[..., Objective]
+AnySignal = str | Signal | Callable[..., Signal]
+T = TypeVar("T")
+
+
 def exported(package: ModuleType) -> dict[str, Callable[..., Any]]:
     """Return the constructors that a package exports, by name."""
     return {name: value for name, value in vars(package).items() if isfunction(value)}
@@ -84,8 +89,30 @@ OBJECTIVES = {
 SIGNALS: dict[str, Callable[..., Signal]] = exported(signals)
 
 
+def find_objective(objective: AnyObjective, options: Mapping[str, Any]) -> ObjectiveRecipe:
+    """Return the recipe of an objective that is given by name or as a value.
+
+    Args:
+      objective: see `make_module`.
+      options: arguments of its constructor.
+
+    Raises:
+      ValueError: there is no objective of this name, those there are are named; or options are
+        given to an objective that is made already.
+    """
+    if isinstance(objective, str):
+        return find(OBJECTIVES, "objective", objective)
+    if isinstance(objective, ObjectiveRecipe):
+        return objective
+    if isinstance(objective, Objective):
+        check_no_options("objective", objective, options)
+        made = objective
+        return ObjectiveRecipe(lambda: made)
+    return ObjectiveRecipe(objective)
+
+
 def make_signal(
-    name: str,
+    signal: AnySignal,
     predictor: Encoder,
     distillation: Mapping[str, Any],
     gradient: Gradient,
@@ -94,25 +121,63 @@ def make_signal(
     """Make a signal with its options and those of the other arguments that its constructor takes.
 
     Args:
-      name: a name in `SIGNALS`.
+      signal: see `make_module`.
       predictor: the network that copies the encoder.
       distillation: how signals with a predictor reduce.
       gradient: of a forward loss into the encoder.
       options: further arguments of the constructor.
 
     Raises:
-      ValueError: the constructor has no such option; those it has are named.
+      ValueError: there is no signal of this name, or the constructor has no such option; those
+        there are are named.
     """
-    takes = signature(SIGNALS[name]).parameters
+    if isinstance(signal, Signal):
+        check_no_options("signal", signal, options)
+        return signal
+    make = find(SIGNALS, "signal", signal) if isinstance(signal, str) else signal
+    takes = signature(make).parameters
     given: dict[str, Any] = {}
     if "predictor" in takes:
-        given |= {"predictor": predictor, **distillation}
+        given["predictor"] = predictor
+        given |= {name: value for name, value in distillation.items() if name in takes}
     if "gradient" in takes:
         given["gradient"] = gradient
     if unknown := set(options) - set(takes):
         known = ", ".join(sorted(set(takes) - {"predictor"}))
+        name = getattr(make, "__name__", "given")
         raise ValueError(f"signal {name} has no option {min(unknown)}; it has {known}")
-    return SIGNALS[name](**{**given, **options})
+    return make(**{**given, **options})
+
+
+def find(known: Mapping[str, T], what: str, name: str) -> T:
+    """Return the entry of a name.
+
+    Args:
+      known: the entries.
+      what: the kind of thing.
+      name: which one.
+
+    Raises:
+      ValueError: there is none; those there are are named.
+    """
+    if name not in known:
+        raise ValueError(f"unknown {what} '{name}'; there is {', '.join(known)}")
+    return known[name]
+
+
+def check_no_options(what: str, made: Any, options: Mapping[str, Any]) -> None:
+    """Check that no options are given to something that is made already.
+
+    Args:
+      what: the kind of thing.
+      made: the thing.
+      options: of its constructor.
+
+    Raises:
+      ValueError: there are options.
+    """
+    if options:
+        raise ValueError(f"{what} {made!r} is made already; give its options to its constructor")
 
 
 def make_encoder_and_predictor(
@@ -160,9 +225,9 @@ def make_encoder_and_predictor(
     )
 
 
-def make_module_from_recipe(
-    recipe: ObjectiveRecipe,
-    signal: str,
+def make_module(
+    objective: AnyObjective,
+    signal: AnySignal,
     num_actions: int,
     size: Architecture = ATARI,
     *,
@@ -175,11 +240,16 @@ def make_module_from_recipe(
     objective_options: Mapping[str, Any] = {},
     signal_options: Mapping[str, Any] = {},
 ) -> IntrinsicModule:
-    """Make the module of a recipe and a signal; as `make_module`, for an objective of one's own.
+    """Make any cell of the grid: an objective with a signal, ours by name or one's own as values.
+
+    `rnd`, `icm` and `sp` add settings of their own to theirs, see `sndjax.algorithm_table`.
 
     Args:
-      recipe: the objective and what surrounds it.
-      signal: a name in `SIGNALS`.
+      objective: a name in `OBJECTIVES` ("none" is a random encoder that stays as it is); an
+        `Objective`, or its constructor, whose networks are then those of VICReg; or an
+        `ObjectiveRecipe`, which says what the networks are.
+      signal: a name in `SIGNALS`; a `Signal`; or its constructor, which gets the arguments
+        `predictor` (the network that copies the encoder) and `gradient` if it takes them.
       num_actions: A.
       size: the sizes of the networks.
       preprocess: what frames go through first: "none", "mean" or "standardize" (5.2.2).
@@ -192,10 +262,16 @@ def make_module_from_recipe(
       signal_options: arguments of the signal's constructor.
 
     Raises:
-      ValueError: `action_input`, and this is not distillation without an objective (QRND); or the
-        signal has no such option.
+      ValueError: there is no such objective or signal, the known ones are named; `action_input`,
+        and this is not distillation without an objective (QRND); or the signal has no such option.
+
+    >>> from sndjax import VECTOR
+    >>> make_module("inverse_dynamics", "re3", 3, VECTOR)  # doctest: +ELLIPSIS
+    IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=4, average=True, ...
     """
-    if action_input and (recipe.objective is not None or signal != "distillation"):
+    recipe = find_objective(objective, objective_options)
+    copies = signal in ("distillation", SIGNALS["distillation"])
+    if action_input and (recipe.objective is not None or not copies):
         raise ValueError("action_input is for the signal 'distillation' without an objective")
     encoder, predictor = make_encoder_and_predictor(
         recipe, size, activation, pairing, num_actions if action_input else 0
@@ -208,30 +284,3 @@ def make_module_from_recipe(
         preprocess=preprocess,
         weights=weights,
     )
-
-
-def make_module(
-    objective: str, signal: str, num_actions: int, size: Architecture = ATARI, **options: Any
-) -> IntrinsicModule:
-    """Make any cell of the grid, by the names of its objective and its signal.
-
-    `rnd`, `icm` and `sp` add settings of their own to theirs, see `sndjax.algorithm_table`.
-
-    Args:
-      objective: a name in `OBJECTIVES`; "none" is a random encoder that stays as it is.
-      signal: a name in `SIGNALS`.
-      num_actions: A.
-      size: the sizes of the networks.
-      **options: of every cell, see `make_module_from_recipe`.
-
-    Raises:
-      ValueError: there is no such objective or signal; the known ones are named.
-
-    >>> from sndjax import VECTOR
-    >>> make_module("inverse_dynamics", "re3", 3, VECTOR)  # doctest: +ELLIPSIS
-    IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=4, average=True, ...
-    """
-    for what, name, known in (("objective", objective, OBJECTIVES), ("signal", signal, SIGNALS)):
-        if name not in known:
-            raise ValueError(f"unknown {what} '{name}'; there is {', '.join(known)}")
-    return make_module_from_recipe(OBJECTIVES[objective], signal, num_actions, size, **options)

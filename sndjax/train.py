@@ -11,12 +11,13 @@ from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from sndjax import ppo
 from sndjax.acting import AgentSpec, scale_vectors
+from sndjax.intrinsic_training import IntrinsicTrainState, read_rewards, reward_metrics
 from sndjax.networks import match_dtype
+from sndjax.optimizer_steps import ShardRows, identity
 from sndjax.rollout import (
     stack_to_channels,
     zero_reset_rows,
 )
-from sndjax.scaling import scale_reward
 from sndjax.side_by_side import run_side_by_side
 from sndjax.statistics import (
     init_return_statistics,
@@ -24,7 +25,7 @@ from sndjax.statistics import (
     update_running_statistics,
 )
 from sndjax.types import Experience, Metrics, TrainState
-from sndjax.updates import ShardRows, identity, update_intrinsic_module, update_policy
+from sndjax.updates import update_intrinsic_module, update_policy
 from sndjax.vmap_hint import hint_under_vmap
 
 
@@ -73,35 +74,19 @@ def compute_intrinsic_rewards(
       The state after reading (episodic memory, running statistics), the rewards, their metrics.
     """
     intrinsic, rollout = agent.intrinsic, batch.rollout
-    valid = rollout.valid
     if intrinsic is None:
-        reward = clipped = signal = jnp.zeros(valid.shape, jnp.float32)
-    else:
-        signal, module_state = intrinsic.module.reward(
-            state.intrinsic, state.intrinsic_state, rollout, key
-        )
-        reward, clipped, reward_scale = scale_reward(
-            signal,
-            valid,
-            state.reward_scale,
-            intrinsic.reward_scale,
-            intrinsic.eta,
-            agent.ppo.gamma_int,
-        )
-        state = state._replace(intrinsic_state=module_state, reward_scale=reward_scale)
-    some = jnp.any(valid)
-    mean = lambda x: jnp.where(some, jnp.mean(x, where=valid), 0.0)
-    return (
-        state,
-        reward,
-        {
-            "int_signal_mean": mean(signal),
-            "int_reward_mean": mean(reward),
-            "int_reward_std": jnp.where(some, jnp.std(reward, where=valid), 0.0),
-            "int_reward_max": jnp.max(reward, where=valid, initial=0.0),
-            "int_reward_clipped": mean(clipped),
-        },
+        none = jnp.zeros(rollout.valid.shape, jnp.float32)
+        return state, none, reward_metrics(none, none, none, rollout.valid)
+    read = read_rewards(
+        intrinsic,
+        IntrinsicTrainState(state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state),
+        state.reward_scale,
+        rollout,
+        agent.ppo.gamma_int,
+        key,
     )
+    state = state._replace(intrinsic_state=read.intrinsic_state, reward_scale=read.reward_scale)
+    return state, read.reward, read.metrics
 
 
 def make_train_step(

@@ -9,7 +9,7 @@ from helpers.rollouts import KINDS, rollout
 import sndjax
 from sndjax import gather_transitions
 from sndjax.algorithms import NAMED
-from sndjax.grid import OBJECTIVES, make_module_from_recipe
+from sndjax.grid import OBJECTIVES, make_module
 
 MODULES = {name: make for name, make in NAMED.items() if make is not None}
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -65,7 +65,7 @@ def test_rnd_reward_subtracts_running_mean_and_is_half_a_sum():
     )  # the target is no parameter: no optimizer updates it
     reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
     mean = OBJECTIVES["none"]._replace(distillation={"reward_reduction": "mean"})
-    plain = make_module_from_recipe(
+    plain = make_module(
         mean, "distillation", VECTOR.actions, VECTOR.size, preprocess="mean"
     )
     other, _ = jax.jit(plain.reward)(params, state, batch, jax.random.key(1))
@@ -77,7 +77,7 @@ def test_snd_std_loss_sums_distillation_and_has_spread_term_and_sp_has_none():
     std, terms = value(MODULES["snd_std"](VECTOR.actions, VECTOR.size), batch)
     recipe = OBJECTIVES["st_dim"]._replace(distillation={})
     _, mean = value(
-        make_module_from_recipe(recipe, "distillation", VECTOR.actions, VECTOR.size), batch
+        make_module(recipe, "distillation", VECTOR.actions, VECTOR.size), batch
     )
     entries = 16 * int(batch.valid.sum())
     np.testing.assert_allclose(
@@ -108,13 +108,13 @@ def test_qrnd_reward_in_one_state_depends_on_action_and_rnd_does_not():
         assert (len({float(v[0]) for v in by_action}) > 1) == apart
 
 
-def test_make_module_from_recipe_action_input_outside_qrnd_raises_value_error():
+def test_make_module_action_input_outside_qrnd_raises_value_error():
     with pytest.raises(ValueError, match="action_input"):
-        make_module_from_recipe(
+        make_module(
             OBJECTIVES["vicreg"], "distillation", 3, VECTOR.size, action_input=True
         )
     with pytest.raises(ValueError, match="action_input"):
-        make_module_from_recipe(OBJECTIVES["none"], "noveld", 3, VECTOR.size, action_input=True)
+        make_module(OBJECTIVES["none"], "noveld", 3, VECTOR.size, action_input=True)
 
 
 @pytest.mark.parametrize("words", [("slow", "distillation"), ("vicreg", "surprise")])

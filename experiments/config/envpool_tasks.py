@@ -24,7 +24,9 @@ def load_qt() -> str:
       The reason why a library could not be loaded, or "".
     """
     package = importlib.util.find_spec("PyQt5")
-    for root in (package.submodule_search_locations or ()) if package else ():
+    if package is None:
+        return "PyQt5-Qt5 is not installed; there are no wheels of it for Linux on ARM"
+    for root in package.submodule_search_locations or ():
         for name in QT_LIBRARIES:
             path = Path(root) / "Qt5" / "lib" / name
             try:

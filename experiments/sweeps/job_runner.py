@@ -19,6 +19,7 @@ from omegaconf import DictConfig
 
 from ..config.command_text import option_text
 from ..config.overrides import normalize_overrides
+from ..system.process import available_cores
 from ..system.subprocesses import start_command
 from .job_status import lock_job, summary_metric
 from .jobs import (
@@ -219,7 +220,7 @@ def visible_gpus() -> tuple[str, ...]:
 
 def launcher_resources(launcher: DictConfig, gpus: Sequence[str]) -> tuple[list[str], int]:
     """Return more options for a launcher, and the number of threads of each job."""
-    cores = len(os.sched_getaffinity(0))
+    cores = available_cores()
     if "n_jobs" in launcher:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         fitting = len(gpus) or max(1, min(cores, memory // MEMORY))

@@ -5,9 +5,10 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
+
+import psutil
 
 from .errors import TaskError, print_error
 
@@ -49,17 +50,19 @@ def enable_compilation_cache() -> None:
 
 def rss_mb() -> float:
     """Return the resident memory of this process in MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return psutil.Process().memory_info().rss / 1e6
 
 
-def available_memory() -> int | None:
-    """Return the memory in bytes that new data can take, or None where it is not known."""
-    with suppress(OSError):
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    return None
+def available_memory() -> int:
+    """Return the memory in bytes that new data can take."""
+    return psutil.virtual_memory().available
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    # macOS has no affinity.
+    known = hasattr(os, "sched_getaffinity")
+    return len(os.sched_getaffinity(0)) if known else os.cpu_count() or 1
 
 
 def run_script(main: Callable[[list[str]], int]) -> None:

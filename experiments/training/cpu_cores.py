@@ -10,6 +10,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ..config.schema import Config
 from ..environments.pool import Pool
+from ..system.process import available_cores
 from .placement import CPU_DEVICES, SINGLE_DEVICE, SingleDevice
 
 MOST_CORES = 64
@@ -30,7 +31,7 @@ def cores_for(config: Config) -> int:
 def usable_cores() -> int:
     """Return the number of cores that this process may use; a sweep divides them among its jobs."""
     given = os.environ.get("PJRT_NPROC", "")
-    return int(given) if given.isdecimal() and int(given) else len(os.sched_getaffinity(0))
+    return int(given) if given.isdecimal() and int(given) else available_cores()
 
 
 def use_cores(config: Config) -> None:

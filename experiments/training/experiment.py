@@ -126,7 +126,7 @@ def check_rollout_memory(config: Config, pool: Pool) -> None:
     frame = math.prod(pool.shape) * np.dtype(pool.dtype).itemsize
     needed = config.num_seeds * (config.rollout_length + 1) * config.num_envs * frame
     available = available_memory()
-    if available is not None and needed > available:
+    if needed > available:
         raise ConfigError(
             f"the observations of a rollout, num_envs={config.num_envs} x rollout_length="
             f"{config.rollout_length} of shape {pool.shape}, take {needed / 1e9:,.0f} GB, and "

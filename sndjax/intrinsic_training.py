@@ -1,0 +1,161 @@
+"""An intrinsic module in a training loop: its rewards, and its optimizer steps."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from sndjax.intrinsic_module import IntrinsicModule
+from sndjax.optimizer_steps import (
+    ShardRows,
+    identity,
+    mean_metrics,
+    optimizer_step,
+    step_with_rows,
+)
+from sndjax.rollout import gather_transitions, slice_transitions
+from sndjax.scaling import RewardScale, scale_reward
+from sndjax.types import Metrics, Params, ReturnStatistics, Rollout, State
+
+
+class IntrinsicConfig(NamedTuple):
+    """An intrinsic module, and how its signal and its training are used."""
+
+    module: IntrinsicModule
+    eta: float = 0.5
+    reward_scale: RewardScale = "none"
+    learning_rate: float = 1e-4
+    minibatch_size: int = 512
+    shuffle: bool = False  # False: minibatches are runs of consecutive time steps
+
+    def optimizer(self) -> optax.GradientTransformation:
+        """Return Adam for the module."""
+        return optax.adam(self.learning_rate)
+
+
+class IntrinsicTrainState(NamedTuple):
+    """The part of a `TrainState` that training the module changes; named as there."""
+
+    intrinsic: Params
+    intrinsic_optimizer: optax.OptState
+    intrinsic_state: State
+
+
+class IntrinsicRewards(NamedTuple):
+    """The rewards of a rollout, and what reading them changed."""
+
+    reward: Float[Array, "T N"]
+    intrinsic_state: State
+    reward_scale: ReturnStatistics
+    metrics: Metrics
+
+
+def read_rewards(
+    intrinsic: IntrinsicConfig,
+    trained: IntrinsicTrainState,
+    reward_scale: ReturnStatistics,
+    rollout: Rollout,
+    discount: float,
+    key: PRNGKeyArray,
+) -> IntrinsicRewards:
+    """Read the signal of a rollout and scale it, see `scale_reward`.
+
+    Args:
+      intrinsic: the module, and how its signal is scaled.
+      trained: the module's parameters and state.
+      reward_scale: the running scale before.
+      rollout: what to read.
+      discount: the intrinsic gamma.
+      key: of the module's draws.
+    """
+    signal, intrinsic_state = intrinsic.module.reward(
+        trained.intrinsic, trained.intrinsic_state, rollout, key
+    )
+    reward, clipped, reward_scale = scale_reward(
+        signal, rollout.valid, reward_scale, intrinsic.reward_scale, intrinsic.eta, discount
+    )
+    metrics = reward_metrics(signal, reward, clipped, rollout.valid)
+    return IntrinsicRewards(reward, intrinsic_state, reward_scale, metrics)
+
+
+def reward_metrics(
+    signal: Float[Array, "*rows"],
+    reward: Float[Array, "*rows"],
+    clipped: Float[Array, "*rows"],
+    valid: Bool[Array, "*rows"],
+) -> Metrics:
+    """Return means, deviation and maximum over the valid rows, 0 where there are none.
+
+    Args:
+      signal: unscaled.
+      reward: scaled.
+      clipped: 1 where the clip bound.
+      valid: the rows that count.
+    """
+    some = jnp.any(valid)
+    mean = lambda x: jnp.where(some, jnp.mean(x, where=valid), 0.0)
+    return {
+        "int_signal_mean": mean(signal),
+        "int_reward_mean": mean(reward),
+        "int_reward_std": jnp.where(some, jnp.std(reward, where=valid), 0.0),
+        "int_reward_max": jnp.max(reward, where=valid, initial=0.0),
+        "int_reward_clipped": mean(clipped),
+    }
+
+
+def train_module(
+    intrinsic: IntrinsicConfig,
+    start: IntrinsicTrainState,
+    rollout: Rollout,
+    index: Int[Array, "M B"],
+    key: PRNGKeyArray,
+    apart: bool = True,
+    shard_rows: ShardRows = identity,
+) -> tuple[IntrinsicTrainState, Metrics]:
+    """Take one optimizer step of an intrinsic module on each of M minibatches.
+
+    Args:
+      intrinsic: the module, and how it is trained.
+      start: the module before.
+      rollout: what it is trained on.
+      index: rows of the flattened rollout; a row that does not exist does not count.
+      key: of the module's draws.
+      apart: False: the rows of a minibatch follow each other, and share their frames.
+      shard_rows: see `make_train_step`.
+
+    Returns:
+      The module after, and the means of its metrics over minibatches.
+    """
+    module, optimizer = intrinsic.module, intrinsic.optimizer()
+    if not jax.tree.leaves(start.intrinsic):
+        return start, {}  # nothing is trained
+
+    def minibatch(
+        carry: IntrinsicTrainState, inputs: tuple[Array, PRNGKeyArray]
+    ) -> tuple[IntrinsicTrainState, Metrics]:
+        params, _, module_state = carry
+        index, key = inputs
+        batch = (
+            gather_transitions(rollout, index)
+            if apart
+            else slice_transitions(rollout, index[0], index.shape[0])
+        )
+        (total, metrics), gradient = jax.value_and_grad(module.loss, has_aux=True)(
+            params, module_state, shard_rows(batch), rollout, key
+        )
+        metrics |= {"module_loss": total, "module_grad_norm": optax.tree.norm(gradient)}
+
+        def step(carry: IntrinsicTrainState) -> IntrinsicTrainState:
+            params, optimizer_state, module_state = carry
+            trained = (params, optimizer_state)
+            params, optimizer_state = optimizer_step(optimizer, gradient, trained)
+            return IntrinsicTrainState(params, optimizer_state, module.update(params, module_state))
+
+        return step_with_rows(step, carry, batch.valid), metrics
+
+    keys = jax.random.split(key, index.shape[0])
+    learned, metrics = lax.scan(minibatch, start, (index, keys))
+    return learned, mean_metrics(metrics)
