@@ -25,6 +25,8 @@ from sndjax.algorithms import (
     sp_vic,
     sp_vinv,
 )
+from sndjax.autoreset import from_autoreset
+from sndjax.bonus_record import Bonus, BonusSettings, BonusState
 from sndjax.checks import check_rollout
 from sndjax.collecting import (
     LiveEnvironments,
@@ -55,6 +57,7 @@ from sndjax.objectives.inverse_dynamics import inverse_dynamics, inverse_dynamic
 from sndjax.objectives.st_dim import st_dim, st_dim_loss
 from sndjax.objectives.vicreg import vicreg, vicreg_loss
 from sndjax.objectives.vicreg_inverse import vicreg_inverse
+from sndjax.own_loop import bonus
 from sndjax.ppo import Hyperparameters, clipped_surrogate
 from sndjax.protocols import Encode, EncoderView, Objective, Signal, TargetNetwork
 from sndjax.returns import generalized_advantage
@@ -99,6 +102,9 @@ __all__ = [
     "ActorCritic",
     "AgentSpec",
     "Architecture",
+    "Bonus",
+    "BonusSettings",
+    "BonusState",
     "Encode",
     "Encoder",
     "EncoderView",
@@ -129,6 +135,7 @@ __all__ = [
     "all_finite",
     "barlow_twins",
     "barlow_twins_loss",
+    "bonus",
     "byol",
     "byol_distance",
     "check_rollout",
@@ -143,6 +150,7 @@ __all__ = [
     "e3b",
     "elliptical_bonus",
     "ensemble_variance",
+    "from_autoreset",
     "gather_transitions",
     "generalized_advantage",
     "icm",

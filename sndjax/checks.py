@@ -90,6 +90,19 @@ def check_below(what: str, numbers: np.ndarray, limit: int) -> None:
         raise ValueError(f"{what} {wrong[0]} does not exist: there are {limit}, 0 to {limit - 1}")
 
 
+def check_channels_last(shape: tuple[int, ...]) -> None:
+    """Check that a frame of three axes does not have its channels first.
+
+    Args:
+      shape: of a frame.
+
+    Raises:
+      ValueError: it has.
+    """
+    if len(shape) == 3 and shape[0] <= CHANNELS and min(shape[1:]) >= SIDE:
+        raise ValueError(f"frames of shape {shape} have their channels first; they must be last")
+
+
 def check_images(frames: Shaped[Array, "B *frame"]) -> None:
     """Check that a batch of frames can be the input of convolutions: [B, H, W, C].
 
@@ -105,8 +118,7 @@ def check_images(frames: Shaped[Array, "B *frame"]) -> None:
         raise ValueError(
             f"frames of shape {shape} are no images [H, W, C]; for vectors take size=sndjax.VECTOR"
         )
-    if shape[0] <= CHANNELS and min(shape[1:]) >= SIDE:
-        raise ValueError(f"frames of shape {shape} have their channels first; they must be last")
+    check_channels_last(shape)
     floats = np.issubdtype(frames.dtype, np.floating)
     if floats and not isinstance(frames, jax.core.Tracer) and np.abs(frames).max() > BRIGHT:
         raise ValueError(

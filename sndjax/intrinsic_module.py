@@ -117,6 +117,7 @@ class IntrinsicModule(NamedTuple):
       features: the encoder's features, to look at; None where a module has none to show.
       has_published_scale: the signal's unit is that of the published experiments' eta.
       description: the objective and the signal with their settings.
+      episodic: the state holds a memory of the running episode of each environment.
 
     >>> IntrinsicModule(*4 * [lambda *args: None])
     IntrinsicModule(a module of one's own)
@@ -129,6 +130,7 @@ class IntrinsicModule(NamedTuple):
     features: ModuleFeatures | None = None
     has_published_scale: bool = True
     description: str = "a module of one's own"
+    episodic: bool = False
 
     def __repr__(self) -> str:
         return f"IntrinsicModule({self.description})"

@@ -69,6 +69,7 @@ def make_intrinsic_module(
         update=partial(update_target, parts),
         features=partial(module_features, parts),
         has_published_scale=signal.has_published_scale,
+        episodic=signal.episodic,
         description=(
             f"objective={objective!r}, signal={signal!r}, preprocess={preprocess!r}, "
             f"weights={weights!r}, {encoder.description}"

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
-from sndjax.checks import check_images
+from sndjax.checks import SIDE, check_images
 from sndjax.convolution import ACTIVATIONS, Activation, Convolution, convolve, to_float
 from sndjax.types import Params
 
@@ -72,6 +72,24 @@ SMALL = Architecture(
     patch=4,
 )
 VECTOR = Architecture(channels=(), features=64)
+
+
+def size_for(shape: tuple[int, ...], small: bool = False) -> Architecture:
+    """Return the sizes of networks for frames of a shape.
+
+    Images [H, W, C] of 32x32 and more get convolutions: the thesis' for Procgen where C = 3, those
+    for Atari elsewhere. Everything else is a vector.
+
+    Args:
+      shape: of a frame.
+      small: images get our networks for a few cores.
+
+    >>> size_for((4,)) == size_for((10, 10, 4)) == VECTOR, size_for((84, 84, 4)) == ATARI
+    (True, True)
+    """
+    if len(shape) != 3 or min(shape[:2]) < SIDE:
+        return VECTOR
+    return SMALL if small else PROCGEN if shape[-1] == 3 else ATARI
 
 
 def match_dtype(tree: Any, params: Params) -> Any:

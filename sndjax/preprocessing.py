@@ -11,6 +11,7 @@ from sndjax.statistics import std
 from sndjax.types import RunningStatistics
 
 Preprocess = Literal["none", "mean", "standardize"]
+FARTHEST = 5.0  # deviations that a standardized vector is clipped to (Burda et al., 2018)
 
 
 def make_preprocess(
@@ -36,3 +37,18 @@ def make_preprocess(
     if mode == "mean":
         return centre
     return lambda frame: jnp.clip(centre(frame) / std(moments)[None], -1.0, 1.0)
+
+
+def standardize(
+    frames: Shaped[Array, "*rows_frame"], moments: RunningStatistics
+) -> Float[Array, "*rows_frame"]:
+    """Compute clip((frames - mean) / std, -5, 5) with the running statistics of each component.
+
+    >>> moments = RunningStatistics(jnp.array(4.0), jnp.array([1.0]), jnp.array([16.0]))
+    >>> standardize(jnp.array([[3.0], [99.0]]), moments).ravel()
+    Array([1., 5.], dtype=float32)
+    """
+    rows = tuple(range(frames.ndim - moments.mean.ndim))
+    mean, deviation = (jnp.expand_dims(x, rows) for x in (moments.mean, std(moments)))
+    far = (to_float(frames).astype(jnp.float32) - mean) / deviation
+    return jnp.clip(far, -FARTHEST, FARTHEST)

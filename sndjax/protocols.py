@@ -222,6 +222,7 @@ class Signal(NamedTuple):
       needs_pairs: the loss reads the features of s_t+1.
       has_published_scale: its unit is that of the published experiments' eta. False: use a
         running scale (`reward_scale="running_std"`).
+      episodic: its state is a memory of the running episode of each environment.
       name: of its file.
       settings: the arguments it was made with.
     """
@@ -231,6 +232,7 @@ class Signal(NamedTuple):
     loss: SignalLoss
     needs_pairs: bool = False
     has_published_scale: bool = True
+    episodic: bool = False
     name: str = "signal"
     settings: Mapping[str, Any] = {}
 

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Int, Shaped
+from jaxtyping import Array, Bool, Int, PRNGKeyArray, Shaped
 
 from sndjax.checks import check_rollout, check_rows
 from sndjax.statistics import broadcast_mask, mask_rows
@@ -59,6 +60,36 @@ def slice_transitions(rollout: Rollout, start: Int[Array, ""], rows: int) -> Tra
     cut = lambda x, size: lax.dynamic_slice_in_dim(x, start, size)
     frames = cut(rollout.frames.reshape(-1, *rollout.frames.shape[2:]), rows + envs)
     return Transition(frames, *(cut(x.reshape(-1), rows) for x in rollout[1:]))
+
+
+def minibatch_rows(
+    key: PRNGKeyArray, steps: int, envs: int, size: int, shuffle: bool, stride: int = 1
+) -> Int[Array, "M B"]:
+    """Return the rows of every minibatch of a rollout, which are equally large but for one row.
+
+    Args:
+      key: of the order.
+      steps: T.
+      envs: N.
+      size: about how many rows a minibatch has.
+      shuffle: draw the rows at random; False: the rows of a minibatch follow each other in time.
+      stride: the row of time t is stride * t.
+
+    Returns:
+      Numbers of rows; where a minibatch has a row less, one that does not exist.
+
+    >>> minibatch_rows(jax.random.key(0), 5, 1, 2, shuffle=False, stride=2)
+    Array([[ 0,  2, 10],
+           [ 4,  6,  8]], dtype=int32)
+    """
+    rows = steps * envs
+    count = max(1, round(rows / size))
+    start = np.arange(count + 1) * rows // count
+    place = start[:-1, None] + np.arange(-(-rows // count))
+    there = place < start[1:, None]
+    order = jax.random.permutation(key, rows) if shuffle else jnp.arange(rows)
+    index = order // envs * stride * envs + order % envs
+    return jnp.where(there, index[np.where(there, place, 0)], rows * stride)
 
 
 def zero_invalid_rows(batch: Transition) -> Transition:

@@ -65,9 +65,7 @@ def test_rnd_reward_subtracts_running_mean_and_is_half_a_sum():
     )  # the target is no parameter: no optimizer updates it
     reward, _ = jax.jit(module.reward)(params, state, batch, jax.random.key(1))
     mean = OBJECTIVES["none"]._replace(distillation={"reward_reduction": "mean"})
-    plain = make_module(
-        mean, "distillation", VECTOR.actions, VECTOR.size, preprocess="mean"
-    )
+    plain = make_module(mean, "distillation", VECTOR.actions, VECTOR.size, preprocess="mean")
     other, _ = jax.jit(plain.reward)(params, state, batch, jax.random.key(1))
     np.testing.assert_allclose(reward, other * 16 / 2, rtol=1e-5)
 
@@ -76,9 +74,7 @@ def test_snd_std_loss_sums_distillation_and_has_spread_term_and_sp_has_none():
     batch = rollout(VECTOR, np.random.default_rng(0))
     std, terms = value(MODULES["snd_std"](VECTOR.actions, VECTOR.size), batch)
     recipe = OBJECTIVES["st_dim"]._replace(distillation={})
-    _, mean = value(
-        make_module(recipe, "distillation", VECTOR.actions, VECTOR.size), batch
-    )
+    _, mean = value(make_module(recipe, "distillation", VECTOR.actions, VECTOR.size), batch)
     entries = 16 * int(batch.valid.sum())
     np.testing.assert_allclose(
         terms["distillation_loss"], mean["distillation_loss"] * entries, rtol=1e-4
@@ -110,9 +106,7 @@ def test_qrnd_reward_in_one_state_depends_on_action_and_rnd_does_not():
 
 def test_make_module_action_input_outside_qrnd_raises_value_error():
     with pytest.raises(ValueError, match="action_input"):
-        make_module(
-            OBJECTIVES["vicreg"], "distillation", 3, VECTOR.size, action_input=True
-        )
+        make_module(OBJECTIVES["vicreg"], "distillation", 3, VECTOR.size, action_input=True)
     with pytest.raises(ValueError, match="action_input"):
         make_module(OBJECTIVES["none"], "noveld", 3, VECTOR.size, action_input=True)
 

@@ -162,4 +162,6 @@ def e3b(
         "scale_features": scale_features,
         "normalize": normalize,
     }
-    return Signal(init, reward, loss, has_published_scale=False, name="e3b", settings=settings)
+    return Signal(
+        init, reward, loss, has_published_scale=False, episodic=True, name="e3b", settings=settings
+    )

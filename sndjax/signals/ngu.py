@@ -251,4 +251,12 @@ def ngu(
         "max_lifelong_factor": max_lifelong_factor,
         **base.settings,
     }
-    return Signal(init, reward, base.loss, has_published_scale=False, name="ngu", settings=settings)
+    return Signal(
+        init,
+        reward,
+        base.loss,
+        has_published_scale=False,
+        episodic=True,
+        name="ngu",
+        settings=settings,
+    )

@@ -201,5 +201,11 @@ def noveld(
     }
     settings |= base.settings
     return Signal(
-        init, reward, base.loss, has_published_scale=False, name="noveld", settings=settings
+        init,
+        reward,
+        base.loss,
+        has_published_scale=False,
+        episodic=True,
+        name="noveld",
+        settings=settings,
     )
