@@ -72,8 +72,8 @@ class ActorCritic(nn.Module):
 
     @nn.compact
     def __call__(self, x):
-        layer = lambda x, width: nn.tanh(nn.Dense(width, nn.initializers.orthogonal(2**0.5))(x))
-        logits = nn.Dense(4, kernel_init=nn.initializers.orthogonal(0.01))(layer(layer(x, 64), 64))
+        layer = lambda x, width: nn.tanh(nn.Dense(width)(x))
+        logits = nn.Dense(4, kernel_init=nn.initializers.normal(0.01))(layer(layer(x, 64), 64))
         return logits, nn.Dense(1)(layer(layer(x, 64), 64))[..., 0]
 
 

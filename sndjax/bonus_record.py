@@ -135,8 +135,8 @@ class BonusStepBatch(Protocol):
         obs: Shaped[Array, "B *frame"],
         action: Int[Array, " B"],
         next_obs: Shaped[Array, "B *frame"],
-        done: Shaped[Array, " B"] | None = None,
         *,
+        valid: Bool[Array, " B"] | None = None,
         train: bool = True,
     ) -> tuple[Float[Array, " B"], BonusState, Metrics]:
         """Return the intrinsic reward of B transitions in no order, and train on them.
@@ -145,8 +145,9 @@ class BonusStepBatch(Protocol):
           state: before.
           obs: what the policy saw.
           action: what it did.
-          next_obs: the true next observation.
-          done: the episode ended with this transition; signals here do not read it.
+          next_obs: the next observation.
+          valid: the rows whose `next_obs` is the true one, not the first of another episode; the
+            others get 0 and are not trained on. None: all.
           train: False: read only; running statistics still move.
 
         Returns:

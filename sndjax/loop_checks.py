@@ -115,7 +115,9 @@ def check_steps(
     if last_obs is not None:
         shapes.check("last_obs", last_obs, ("N",))
         check_rows("last_obs", last_obs.shape[:1], rows[1:])
-    return check_flags(shapes, action, done, rows)
+    check_action(shapes, action, rows)
+    check_flags("done", done, rows)
+    return jnp.asarray(done) != 0
 
 
 def check_batch(
@@ -123,16 +125,16 @@ def check_batch(
     obs: Shaped[Array, "B *frame"],
     action: Int[Array, " B"],
     next_obs: Shaped[Array, "B *frame"],
-    done: Any,
-) -> Bool[Array, " B"]:
-    """Check the arrays of B transitions, and return `done` as booleans.
+    valid: Bool[Array, " B"] | None,
+) -> None:
+    """Check the arrays of B transitions.
 
     Args:
       shapes: what they must look like.
       obs: what the policy saw.
       action: what it did.
-      next_obs: the true next observation.
-      done: the episode ended.
+      next_obs: the next observation.
+      valid: the rows that count.
 
     Raises:
       ValueError: one does not fit, in words.
@@ -141,33 +143,45 @@ def check_batch(
     rows = tuple(obs.shape[:1])
     shapes.check("next_obs", next_obs, ("B",))
     check_rows("next_obs", next_obs.shape[:1], rows)
-    return check_flags(shapes, action, done, rows)
+    check_action(shapes, action, rows)
+    if valid is not None:
+        check_flags("valid", valid, rows)
 
 
-def check_flags(
-    shapes: LoopShapes, action: Any, done: Any, rows: tuple[int, ...]
-) -> Bool[Array, "*rows"]:
-    """Check actions and ends of episodes, and return the ends as booleans.
+def check_action(shapes: LoopShapes, action: Any, rows: tuple[int, ...]) -> None:
+    """Check the actions of a loop.
 
     Args:
       shapes: for the number of actions.
       action: 0 to A - 1.
-      done: booleans, or numbers of which only 0 is False.
-      rows: the shape that both must have.
+      rows: the shape that they must have.
 
     Raises:
-      ValueError: one has another shape or dtype, or an action is not below A.
+      ValueError: they have another shape, are no integers, or one is not below A (where its value
+        is known).
     """
-    for name, array in (("action", action), ("done", done)):
-        if not hasattr(array, "shape"):
-            raise ValueError(f"{name} is {array!r}; it must be an array of shape {rows}")
-        check_rows(name, tuple(array.shape), rows)
+    check_flags("action", action, rows)
     if not jnp.issubdtype(action.dtype, jnp.integer):
         raise ValueError(
             f"action is {action.dtype}; actions are integers, 0 to {shapes.num_actions - 1}"
         )
     check_actions(action, jnp.ones(rows, bool), shapes.num_actions)
-    return jnp.asarray(done) != 0
+
+
+def check_flags(name: str, array: Any, rows: tuple[int, ...]) -> None:
+    """Check that there is an array with one entry for each row.
+
+    Args:
+      name: of the array.
+      array: what was given.
+      rows: the shape that it must have.
+
+    Raises:
+      ValueError: it is no array, or has another shape.
+    """
+    if not hasattr(array, "shape"):
+        raise ValueError(f"{name} is {array!r}; it must be an array of shape {rows}")
+    check_rows(name, tuple(array.shape), rows)
 
 
 def check_rows(name: str, shape: tuple[int, ...], rows: tuple[int, ...]) -> None:

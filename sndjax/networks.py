@@ -4,13 +4,14 @@ Weights are orthogonal with the gains of the published experiments, biases zero.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Shaped
+from jax.custom_batching import sequential_vmap
+from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.checks import SIDE, check_images
 from sndjax.convolution import ACTIVATIONS, Activation, Convolution, convolve, to_float
@@ -102,6 +103,28 @@ def match_dtype(tree: Any, params: Params) -> Any:
     return jax.tree.map(lambda x: x.astype(dtype) if floating(x) else x, tree)
 
 
+def orthogonal(gain: float) -> Callable[..., Float[Array, "*shape"]]:
+    """Return flax's orthogonal initializer, which under `jax.vmap` factorizes one by one.
+
+    Batched QR factorizations of jaxlib 0.10 wait for each other for ever on a CPU of two cores.
+
+    Args:
+      gain: of the weights.
+
+    >>> draw = lambda key: orthogonal(1.0)(key, (2, 2), jnp.float32)
+    >>> jax.vmap(draw)(jax.random.split(jax.random.key(0), 3)).shape
+    (3, 2, 2)
+    """
+
+    def init(
+        key: PRNGKeyArray, shape: Sequence[int], dtype: Any = jnp.float32
+    ) -> Float[Array, "*shape"]:
+        draw = nn.initializers.orthogonal(gain)
+        return sequential_vmap(lambda key: draw(key, tuple(shape), dtype))(key)
+
+    return init
+
+
 def linear(features: int, gain: float, name: str | None = None) -> nn.Dense:
     """Make a linear layer with orthogonal weights and zero biases.
 
@@ -110,7 +133,7 @@ def linear(features: int, gain: float, name: str | None = None) -> nn.Dense:
       gain: of the orthogonal weights.
       name: of its weights, where something reads them by name.
     """
-    return nn.Dense(features, kernel_init=nn.initializers.orthogonal(gain), name=name)
+    return nn.Dense(features, kernel_init=orthogonal(gain), name=name)
 
 
 class Torso(nn.Module):
@@ -136,8 +159,8 @@ class Torso(nn.Module):
         weights, channels = [], x.shape[-1]
         for i, layer in enumerate(self.convolutions):
             shape = (layer.size, layer.size, channels, layer.channels)
-            orthogonal, zeros = nn.initializers.orthogonal(self.gain), nn.initializers.zeros
-            kernel = self.param(f"kernel_{i}", orthogonal, shape, jnp.float32)
+            zeros = nn.initializers.zeros
+            kernel = self.param(f"kernel_{i}", orthogonal(self.gain), shape, jnp.float32)
             bias = self.param(f"bias_{i}", zeros, (layer.channels,), jnp.float32)
             weights.append((kernel, bias))
             channels = layer.channels

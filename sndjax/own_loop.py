@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.algorithms import make_named
 from sndjax.autoreset import from_autoreset, from_carried_observations
@@ -189,8 +189,8 @@ def step_batch(
     obs: Shaped[Array, "B *frame"],
     action: Int[Array, " B"],
     next_obs: Shaped[Array, "B *frame"],
-    done: Shaped[Array, " B"] | None = None,
     *,
+    valid: Bool[Array, " B"] | None = None,
     train: bool = True,
 ) -> tuple[Float[Array, " B"], BonusState, Metrics]:
     """Return the intrinsic reward of B transitions, and train on them. See `BonusStepBatch`.
@@ -200,8 +200,8 @@ def step_batch(
       state: before.
       obs: what the policy saw.
       action: what it did.
-      next_obs: the true next observation.
-      done: the episode ended with this transition.
+      next_obs: the next observation.
+      valid: the rows whose `next_obs` is the true one.
       train: False: read only.
 
     Raises:
@@ -215,12 +215,13 @@ def step_batch(
             "or take a signal without episode memory: distillation, prediction, disagreement, "
             "re3 or simhash"
         )
-    if done is None:
-        done = jnp.zeros(action.shape, bool)
-    ended = check_batch(parts.shapes, obs, action, next_obs, done)
-    rollout = from_autoreset(obs[None], next_obs[None], action[None], ended[None])
+    check_batch(parts.shapes, obs, action, next_obs, valid)
+    no = jnp.zeros(action.shape, bool)
+    rollout = from_autoreset(obs[None], next_obs[None], action[None], no[None])
+    if valid is not None:
+        rollout = rollout._replace(valid=valid[None])
     # Rows in no order have no sum over time: that of a single reward is the reward.
-    alone = state.returns._replace(discounted=jnp.zeros(ended.shape, jnp.float32))
+    alone = state.returns._replace(discounted=jnp.zeros(action.shape, jnp.float32))
     own = parts._replace(settings=parts.settings._replace(discount=0.0))
     reward, after, metrics = reward_and_train(
         own, state._replace(returns=alone), rollout, stride=1, train=train

@@ -1,5 +1,7 @@
 """Tests of sizes, computed by hand from the thesis' network table, and of initial weights."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -190,3 +192,19 @@ def test_make_encoder_and_predictor_pairing_has_layers_of_figure_5_4(pairing, li
     same = target.convolutions == learned.convolutions
     assert same == (pairing != "asymmetric")
     assert target.activation == ("relu" if pairing == "relu" else "elu")
+
+
+def test_ActorCritic_init_under_vmap_factorizes_one_matrix_at_a_time():
+    """Batched factorizations wait for each other for ever on two cores (jaxlib 0.10.2)."""
+    network = ActorCritic(VECTOR, 3)
+    init = lambda key: network.init(key, jnp.zeros((1, 5)))
+    keys = jax.random.split(jax.random.key(0), 3)
+    text = str(jax.make_jaxpr(jax.vmap(init))(keys))
+    factors = re.findall(r":f32\[([^]]*)\] \w+:f32\[[^]]*\] = qr\[", text)
+    assert factors
+    assert all(len(shape.split(",")) == 2 for shape in factors)
+    together = jax.vmap(init)(keys)
+    for i, key in enumerate(keys):
+        jax.tree.map(
+            lambda x, one, i=i: np.testing.assert_array_equal(x[i], one), together, init(key)
+        )

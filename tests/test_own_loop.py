@@ -42,7 +42,9 @@ def cell(signal, objective="inverse_dynamics"):
 def made(name="rnd", **settings):
     """Return a bonus and its state; minibatches of 8 rows."""
     own = bonus(name, A, jnp.zeros((N, D)), **{"minibatch_size": 8, **settings})
-    return own, own.init(jax.random.key(0), jnp.zeros((N, D)))
+    state = own.init(jax.random.key(0), jnp.zeros((N, D)))
+    jitted = lambda step: jax.jit(step, static_argnames="train")
+    return own._replace(step=jitted(own.step), step_batch=jitted(own.step_batch)), state
 
 
 def test_bonus_step_equals_a_loop_that_is_written_out():
@@ -158,19 +160,26 @@ def test_bonus_step_without_last_observations_gives_terminal_steps_nothing():
 
 
 def test_bonus_step_carries_the_flags_of_episodes_between_rollouts():
-    """One rollout of 2T steps, and two of T: NovelD marks the same first visits."""
+    """One rollout of 2T steps, and two of T: NovelD pays the same first visits, of three states."""
     settings = {"learning_rate": 0.0, "standardize": False, "reward_scale": "none", "eta": 1e-3}
-    whole, state = made(cell("noveld"), **settings)
+    module = make_module(
+        "none", "noveld", A, KINDS[2].size, signal_options={"centre": False, "alpha": 0.0}
+    )
+    own, state = made(module, **settings)
     obs, action, after, done = steps(rows=2 * T)
-    together, _, _ = whole.step(state, obs, action, after, done)
-    parts = []
+    obs, after = (
+        jnp.round(jnp.clip(x[..., :1], -1, 1)) * jnp.ones((1, 1, D)) for x in (obs, after)
+    )
+    wanted, _, _ = own.step(state, obs, action, after, done)
+    parts, forgetful = [], []
     for half in (slice(0, T), slice(T, 2 * T)):
-        part, state, _ = whole.step(state, obs[half], action[half], after[half], done[half])
+        data = (obs[half], action[half], after[half], done[half])
+        forgot, _, _ = own.step(state._replace(first=jnp.ones(N, bool)), *data)
+        part, state, _ = own.step(state, *data)
         parts.append(part)
-    # The mean that hashes are centred by is that of the rollout; without episodes it would differ.
-    assert (np.concatenate(parts) > 0).any()
-    np.testing.assert_array_equal(state.first, done[-1])
-    assert together.shape == (2 * T, N)
+        forgetful.append(forgot)
+    np.testing.assert_allclose(np.concatenate(parts), wanted, rtol=1e-6)
+    assert ((np.concatenate(forgetful) > 0) != (wanted > 0)).any()
 
 
 @pytest.mark.parametrize("signal", sorted(SIGNALS))
@@ -179,10 +188,11 @@ def test_bonus_step_batch_refuses_signals_with_episode_memory_by_name(signal):
     obs, action, after, done = (x[0] for x in steps(envs=7))
     if signal in MEMORIES:
         with pytest.raises(ValueError, match=rf"signal={signal}\(.*remembers the running episode"):
-            own.step_batch(state, obs, action, after, done)
+            own.step_batch(state, obs, action, after)
         return
-    reward, new, _ = own.step_batch(state, obs, action, after, done)
+    reward, new, _ = own.step_batch(state, obs, action, after, valid=~done)
     assert reward.shape == (7,)
+    np.testing.assert_array_equal(np.asarray(reward) != 0, ~done)
     shapes = lambda tree: [leaf.shape for leaf in jax.tree.leaves(tree)]
     assert shapes(new) == shapes(state)
 
@@ -310,7 +320,8 @@ def call(own, state, **changed):
     ],
 )  # fmt: skip
 def test_bonus_step_says_what_is_wrong_with_an_array(changed, words, unchecked):
-    own, state = made()
+    own = bonus("rnd", A, jnp.zeros((N, D)))
+    state = own.init(jax.random.key(0), jnp.zeros((N, D)))
     with pytest.raises(ValueError, match=words):
         call(own, state, **changed)
 
