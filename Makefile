@@ -5,23 +5,25 @@
 # make test-survival  fifty kills, thousands of bad inputs, half an hour of load (an hour)
 # make bench   the benchmark of six algorithms against the committed figures (a quarter of an hour)
 # make gpu-evidence   the thesis' hard games on a GPU for MINUTES minutes (60); called again, it resumes
+# make docs    the manual: build/site/index.html, without a network
 # make check   formatter, linter and type checker
 # make style   how the code is documented, in numbers
 # make .venv          the environment; PYTHON=python3.12 picks another Python
 # make .venv/.sweeps    launchers for clusters, and trackers, which the tests use too
 # make .venv/.jax-envs  environments that live in JAX (gymnax, Craftax, XLand-MiniGrid), which they use too
+# make .venv/.docs      what builds the manual
 PYTHON ?= python3
 MINUTES ?= 60
 RUN := .venv/bin/python
 
-.PHONY: .venv quick style demo test test-all test-survival bench gpu-evidence check format
+.PHONY: .venv quick style demo test test-all test-survival bench gpu-evidence check format docs
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
 	@command -v $(PYTHON) >/dev/null || { echo "sndjax: no $(PYTHON) here; install Python 3.11 or newer, or run make PYTHON=..." >&2; exit 2; }
 	@$(PYTHON) bootstrap.py
 
-.venv/.sweeps .venv/.jax-envs: .venv/.%: .venv/.complete requirements-%.txt
+.venv/.sweeps .venv/.jax-envs .venv/.docs: .venv/.%: .venv/.complete requirements-%.txt
 	@$(PYTHON) bootstrap.py $*
 
 QUICK := tests/objectives tests/signals tests/test_returns.py tests/test_ppo.py tests/test_statistics.py \
@@ -52,6 +54,10 @@ bench: .venv/.complete
 
 gpu-evidence: .venv/.complete
 	@$(RUN) -m experiments.cli gpu_suite --minutes $(MINUTES)
+
+docs: .venv/.docs
+	@NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(RUN) -m mkdocs build
+	@echo "the manual: build/site/index.html"
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

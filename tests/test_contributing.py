@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md's two walks, done on a copy of the tree, and the tables of README.md."""
+"""CONTRIBUTING.md's walks, done on a copy of the tree, and the tables of README.md."""
 
 import os
 import re
@@ -7,10 +7,15 @@ import subprocess
 import sys
 from textwrap import dedent
 
+import jax
+import jax.numpy as jnp
 import pytest
 from helpers.processes import CAR, ROOT
 
+import sndjax
 from sndjax.algorithm_table import ALGORITHMS
+from sndjax.bonus_record import PRESETS
+from sndjax.grid import OBJECTIVES, SIGNALS
 
 
 @pytest.fixture(scope="module")
@@ -20,12 +25,13 @@ def walked(tmp_path_factory):
     for name in ("sndjax", "experiments"):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
     text = (ROOT / "CONTRIBUTING.md").read_text()
-    slow, longest = (
+    slow, squares, longest = (
         dedent("   " + code) for code in re.findall(r"```python\n   (.*?)```", text, re.DOTALL)
     )
-    (copy / "sndjax" / "objectives" / "slow.py").write_text(slow)
-    with (copy / "sndjax" / "objectives" / "__init__.py").open("a") as file:
-        file.write(re.search(r"`(from sndjax.objectives.slow [^`]*)`", text)[1] + "\n")
+    for package, name, code in (("objectives", "slow", slow), ("signals", "squares", squares)):
+        (copy / "sndjax" / package / f"{name}.py").write_text(code)
+        with (copy / "sndjax" / package / "__init__.py").open("a") as file:
+            file.write(re.search(rf"`(from sndjax.{package}.{name} [^`]*)`", text)[1] + "\n")
     (copy / "experiments" / "longest.py").write_text(longest)
     table = copy / "experiments" / "cli.py"
     line = 'COMMANDS = {\n    "longest": "print the longest training episode of a run",\n'
@@ -43,8 +49,8 @@ def call(walked, *arguments):
     return done.stdout
 
 
-def test_walks_of_contributing_give_an_objective_and_a_command_that_run(walked):
-    cell = ["algo=grid", "algo.objective=slow", "algo.signal=distillation"]
+def test_walks_of_contributing_give_objective_signal_and_command_that_run(walked):
+    cell = ["algo=grid", "algo.objective=slow", "algo.signal=squares"]
     run = [*CAR, *cell, "algo.minibatch_size=64", "total_steps=2048", "run_dir=one"]
     assert "finished: one" in call(walked, *run)
     assert "slow_distance" in (walked / "one" / "metrics.jsonl").read_text()
@@ -85,3 +91,46 @@ def test_readme_is_short_and_its_links_and_those_of_the_docs_exist():
     for page in pages:
         for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
             assert link.startswith("http") or (page.parent / link).exists(), f"{page}: {link}"
+
+
+@pytest.mark.parametrize("kind", ["objectives", "signals"])
+def test_every_objective_and_signal_has_its_page_and_its_rows(kind):
+    names = set(OBJECTIVES if kind == "objectives" else SIGNALS)
+    pages = {path.stem for path in (ROOT / "docs" / kind).glob("*.md")}
+    assert pages == names
+    grid = (ROOT / "docs" / "grid.md").read_text()
+    nav = (ROOT / "mkdocs.yml").read_text()
+    layout = (ROOT / "docs" / "layout.md").read_text()
+    for name in names:
+        assert f"[{name}]({kind}/{name}.md)" in grid
+        assert f"- {name}: {kind}/{name}.md" in nav
+        assert "**Cost.**" in (ROOT / "docs" / kind / f"{name}.md").read_text()
+        assert kind == "objectives" or f"`{name}`" in layout
+
+
+def test_code_of_the_page_on_extending_makes_a_bonus():
+    text = (ROOT / "docs" / "extend.md").read_text()
+    _, objective, signal = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    space = {}
+    exec(objective, space)
+    exec(signal, space)
+    obs = jnp.ones((4, 3)) * jnp.arange(4.0)[:, None]
+    module = sndjax.make_module(space["slow"], space["surprise_ratio"], 2, sndjax.VECTOR)
+    own = sndjax.bonus(module, num_actions=2, example=obs)
+    state, no = own.init(jax.random.key(0), obs), jnp.zeros((1, 4), bool)
+    reward, state, metrics = own.step(state, obs[None], no.astype(int), obs[None] + 1, no)
+    assert (reward > 0).all()
+    assert metrics["slow_loss"] > 0
+    made = sndjax.make_module(space["slow"](2.0), "noveld", 2, sndjax.VECTOR)
+    assert "slow(weight=2.0), signal=noveld" in repr(made)
+
+
+def test_settings_of_the_manual_are_those_of_the_presets():
+    text = (ROOT / "docs" / "settings.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*)$", text, re.MULTILINE))
+    for field in sndjax.BonusSettings._fields:
+        thesis, small = (cell.strip(" `") for cell in rows[field].split("|")[:2])
+        for shown, preset in ((thesis, "thesis"), (small, "small")):
+            value = getattr(PRESETS[preset], field)
+            if field != "standardize":  # it follows from the observations
+                assert shown == str(value) or float(shown) == value, (field, preset)

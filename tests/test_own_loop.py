@@ -6,6 +6,7 @@ import jaxtyping
 import numpy as np
 import optax
 import pytest
+from helpers.processes import ROOT
 from helpers.rollouts import KINDS, episodes, frames
 
 import sndjax
@@ -148,6 +149,22 @@ def restart(rng):
             valid[t] = False
             t += 1
     return first, done, valid
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_bonus_step_reads_the_next_state_where_the_manual_says_so(signal):
+    """docs/layout.md has the table: change s_t+1 of the last row alone, and see what moves."""
+    own, state = made(cell(signal), standardize=False, learning_rate=0.0)
+    data = steps(rows=16), steps(seed=1, rows=16)
+    obs, action, after, _ = data[0]
+    no = jnp.zeros((16, N), bool)
+    before, _, _ = own.step(state, obs, action, after, no)
+    moved, _, _ = own.step(state, obs, action, after.at[-1].set(data[1][2][-1]), no)
+    page = (ROOT / "docs" / "layout.md").read_text()
+    (row,) = [
+        line for line in page.splitlines() if line.startswith("| `") and f"`{signal}`" in line
+    ]
+    assert (np.asarray(before[-1]) != moved[-1]).any() == ("s_t+1" in row)
 
 
 def test_bonus_step_without_last_observations_gives_terminal_steps_nothing():

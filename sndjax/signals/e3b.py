@@ -162,6 +162,5 @@ def e3b(
         "scale_features": scale_features,
         "normalize": normalize,
     }
-    return Signal(
-        init, reward, loss, has_published_scale=False, episodic=True, name="e3b", settings=settings
-    )
+    made = Signal(init, reward, loss, name="e3b", settings=settings)
+    return made._replace(has_published_scale=False, episodic=True)

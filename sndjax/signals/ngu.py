@@ -237,8 +237,7 @@ def ngu(
         error = rollout_distillation_error(
             predictor, params, view, rollout.frames, z, reward_reduction
         )[1:]
-        if state.projection is not None:
-            z = z @ state.projection
+        z = z if state.projection is None else z @ state.projection
         episodic, memory = episodic_rewards(state.memory, z, rollout, kernel)
         errors = update_running_statistics(state.errors, error, rollout.valid)
         factor = lifelong_factor(error, errors, max_lifelong_factor)
@@ -251,12 +250,5 @@ def ngu(
         "max_lifelong_factor": max_lifelong_factor,
         **base.settings,
     }
-    return Signal(
-        init,
-        reward,
-        base.loss,
-        has_published_scale=False,
-        episodic=True,
-        name="ngu",
-        settings=settings,
-    )
+    made = Signal(init, reward, base.loss, name="ngu", settings=settings)
+    return made._replace(has_published_scale=False, episodic=True)

@@ -200,12 +200,5 @@ def noveld(
         "centre": centre,
     }
     settings |= base.settings
-    return Signal(
-        init,
-        reward,
-        base.loss,
-        has_published_scale=False,
-        episodic=True,
-        name="noveld",
-        settings=settings,
-    )
+    made = Signal(init, reward, base.loss, name="noveld", settings=settings)
+    return made._replace(has_published_scale=False, episodic=True)
