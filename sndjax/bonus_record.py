@@ -1,7 +1,7 @@
 """What a bonus for a training loop of one's own is: its settings, its state, its functions."""
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
@@ -55,6 +55,23 @@ PRESETS: Mapping[str, BonusSettings] = {
         shuffle=True,
     ),
 }
+
+
+def check_settings(settings: Mapping[str, Any]) -> None:
+    """Check the names of settings, and those whose values are words.
+
+    Args:
+      settings: fields of `BonusSettings`.
+
+    Raises:
+      ValueError: there is no such setting or word; those there are are named.
+    """
+    if unknown := set(settings) - set(BonusSettings._fields):
+        known = ", ".join(BonusSettings._fields)
+        raise ValueError(f"a bonus has no setting {min(unknown)}; it has {known}")
+    for name, words in (("reset", get_args(Reset)), ("reward_scale", get_args(RewardScale))):
+        if settings.get(name, words[0]) not in words:
+            raise ValueError(f"{name}={settings[name]!r}; it is one of {', '.join(words)}")
 
 
 class BonusState(NamedTuple):

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
+from jax.dtypes import canonicalize_dtype
 from jaxtyping import Array, Bool, Int, Shaped
 
 from sndjax.checks import SIDE, check_actions, check_channels_last
@@ -39,7 +39,7 @@ class LoopShapes(NamedTuple):
                 f"{name} has shape {shape}; it must be {wanted}, since the example's observations "
                 f"have shape {self.frame}"
             )
-        if np.dtype(array.dtype) != np.dtype(self.dtype):
+        if canonicalize_dtype(array.dtype) != canonicalize_dtype(self.dtype):
             raise ValueError(f"{name} is {array.dtype}, and the example is {self.dtype}")
 
 

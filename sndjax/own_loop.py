@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.algorithms import make_named
 from sndjax.autoreset import from_autoreset, from_carried_observations
-from sndjax.bonus_record import PRESETS, Bonus, BonusSettings, BonusState
+from sndjax.bonus_record import PRESETS, Bonus, BonusSettings, BonusState, check_settings
 from sndjax.convolution import to_float
 from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.intrinsic_training import (
@@ -71,9 +71,7 @@ def bonus(
     frame = check_example(example)
     if preset not in PRESETS:
         raise ValueError(f"unknown preset '{preset}'; there is {', '.join(PRESETS)}")
-    if unknown := set(settings) - set(BonusSettings._fields):
-        known = ", ".join(BonusSettings._fields)
-        raise ValueError(f"a bonus has no setting {min(unknown)}; it has {known}")
+    check_settings(settings)
     size = size_for(frame.shape, small=preset == "small")
     if isinstance(name, str):
         module = make_named(name, num_actions, size, **module_options)

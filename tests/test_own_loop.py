@@ -343,6 +343,17 @@ def test_bonus_step_says_what_is_wrong_with_an_array(changed, words, unchecked):
         call(own, state, **changed)
 
 
+def test_bonus_takes_double_precision_of_numpy(unchecked):
+    """Outside of x64 mode jax makes float32 of it: the example and the arrays still agree."""
+    example = np.zeros((N, D))
+    own = bonus("rnd", A, example)
+    data = [np.asarray(x, np.float64 if x.ndim == 3 else None) for x in steps()]
+    reward, _, _ = jax.jit(own.step)(own.init(jax.random.key(0), jnp.asarray(example)), *data)
+    assert reward.dtype == np.float32
+    same, _, _ = own.step(own.init(jax.random.key(0), example), *data)
+    np.testing.assert_allclose(same, reward, rtol=1e-5)
+
+
 def test_bonus_step_takes_numbers_for_done():
     own, state = made("icm")
     obs, action, after, done = steps()
@@ -373,5 +384,9 @@ def test_bonus_unknown_names_and_settings_are_answered_with_those_there_are():
         bonus("rnd", A, example, preset="tiny")
     with pytest.raises(ValueError, match="no setting lr; it has eta"):
         bonus("rnd", A, example, lr=1.0)
+    with pytest.raises(ValueError, match="reset='nextstep'; it is one of same_step, next_step"):
+        bonus("rnd", A, example, reset="nextstep")
+    with pytest.raises(ValueError, match="reward_scale='std'; it is one of none, running_std"):
+        bonus("rnd", A, example, reward_scale="std")
     with pytest.raises(ValueError, match="made already"):
         bonus(cell("re3"), A, example, module_options={"preprocess": "mean"})
