@@ -57,7 +57,7 @@ gpu-evidence: .venv/.complete
 
 docs: .venv/.docs
 	@NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(RUN) -m mkdocs build
-	@echo "the manual: build/site/index.html"
+	@echo "the manual: build/site/index.html (with search: $(RUN) -m http.server -d build/site)"
 
 check: .venv/.complete
 	@$(RUN) -m ruff check .

@@ -109,7 +109,7 @@ def on_page_markdown(markdown, page, config, files):
     here = str(Path(page.file.src_uri).parent)
 
     def link(found):
-        target, anchor = found[1].removeprefix("docs/"), found[2] or ""
+        target, anchor = found[2].removeprefix("docs/"), found[3] or ""
         name = re.sub(r"^(\.\./)*", "", target)
         if name.startswith("examples/"):
             target = relpath(str(Path(name).with_suffix(".md")), here)
@@ -118,7 +118,19 @@ def on_page_markdown(markdown, page, config, files):
         elif name == "CONTRIBUTING.md":
             target = relpath("contributing.md", here)
         elif name.startswith("experiments/") or name.endswith("/"):
-            return "]"  # text alone: it is no page
-        return f"]({target}{anchor})"
+            return found[1]  # text alone: it is no page
+        return f"[{found[1]}]({target}{anchor})"
 
-    return re.sub(r"\]\((?!https?:|#)([^)#\s]+)(#[^)]*)?\)", link, markdown)
+    return re.sub(r"\[([^\]]*)\]\((?!https?:|#)([^)#\s]+)(#[^)]*)?\)", link, markdown)
+
+
+def on_post_page(output, page, config):
+    """Check that a page loads nothing from elsewhere.
+
+    Raises:
+      ValueError: it loads a script, a style or a picture over the network.
+    """
+    found = re.search(r'<(script|link|img|iframe)[^>]*(src|href)="https?://[^"]*"', output)
+    if found:
+        raise ValueError(f"{page.file.src_uri} is loaded from elsewhere: {found[0]}")
+    return output

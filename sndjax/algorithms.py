@@ -35,7 +35,10 @@ def make_named(
     row = ALGORITHMS.get(name)
     if row is None or row.objective is None or row.signal is None:
         known = ", ".join(name for name, make in NAMED.items() if make)
-        raise ValueError(f"no intrinsic module is called '{name}'; there is {known}")
+        raise ValueError(
+            f"no intrinsic module is called '{name}'; there is {known}; in a bonus also "
+            "objective+signal, such as none+noveld"
+        )
     return make_module(
         row.objective,
         row.signal,

@@ -1,5 +1,7 @@
 """Rollouts from the loops of others, whose environments reset themselves within the step."""
 
+import math
+
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, Shaped
 
@@ -97,3 +99,17 @@ def from_carried_observations(
         done=done & (valid if reset is not None else True),
         valid=valid,
     )
+
+
+def count_resets_as_next(
+    obs: Shaped[Array, "T N *frame"], next_obs: Shaped[Array, "T N *frame"], done: Array
+) -> Int[Array, ""]:
+    """Count the ends of episodes whose `next_obs` is what the next episode begins with.
+
+    Args:
+      obs: what the policy saw.
+      next_obs: what should be the true next observation.
+      done: the episode ended with this step.
+    """
+    same = (obs[1:] == next_obs[:-1]).reshape(-1, *done.shape[1:], math.prod(obs.shape[2:]))
+    return jnp.sum(done[:-1] & jnp.all(same, axis=-1), dtype=jnp.int32)

@@ -1,10 +1,11 @@
 """What a bonus for a training loop of one's own is: its settings, its state, its functions."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, TypedDict, get_args, runtime_checkable
 
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
+from sndjax.checks import check_choice
 from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.intrinsic_training import IntrinsicTrainState
 from sndjax.scaling import RewardScale
@@ -43,8 +44,8 @@ class BonusSettings(NamedTuple):
     reset: Reset = "same_step"
 
 
-# The thesis' are its own settings; "small" is ours, for tasks of minutes on a few cores: the scale
-# that needs no search, a learning rate ten times as large, minibatches a quarter as large.
+# "thesis" is what the thesis set, for images; "small" is ours, for tasks of minutes on a few cores:
+# the scale that needs no search, a learning rate ten times as large, smaller minibatches.
 PRESETS: Mapping[str, BonusSettings] = {
     "thesis": BonusSettings(),
     "small": BonusSettings(
@@ -57,21 +58,37 @@ PRESETS: Mapping[str, BonusSettings] = {
 }
 
 
+class BonusChanges(TypedDict, total=False):
+    """The fields of `BonusSettings` as keywords, any of them, for type checkers."""
+
+    eta: float
+    reward_scale: RewardScale
+    discount: float
+    learning_rate: float
+    minibatch_size: int
+    epochs: int
+    shuffle: bool
+    standardize: bool
+    reset: Reset
+
+
 def check_settings(settings: Mapping[str, Any]) -> None:
-    """Check the names of settings, and those whose values are words.
+    """Check the names of settings, those whose values are words, and those that count.
 
     Args:
       settings: fields of `BonusSettings`.
 
     Raises:
-      ValueError: there is no such setting or word; those there are are named.
+      ValueError: there is no such setting or word, those there are are named; or a count is 0.
     """
     if unknown := set(settings) - set(BonusSettings._fields):
         known = ", ".join(BonusSettings._fields)
         raise ValueError(f"a bonus has no setting {min(unknown)}; it has {known}")
-    for name, words in (("reset", get_args(Reset)), ("reward_scale", get_args(RewardScale))):
-        if settings.get(name, words[0]) not in words:
-            raise ValueError(f"{name}={settings[name]!r}; it is one of {', '.join(words)}")
+    check_choice("reset", settings.get("reset", "same_step"), get_args(Reset))
+    check_choice("reward_scale", settings.get("reward_scale", "none"), get_args(RewardScale))
+    for name in ("minibatch_size", "epochs"):
+        if settings.get(name, 1) < 1:
+            raise ValueError(f"{name}={settings[name]}; it must be 1 or more")
 
 
 class BonusState(NamedTuple):
@@ -134,7 +151,9 @@ class BonusStep(Protocol):
           train: False: read only; episode memories and running statistics still move.
 
         Returns:
-          The reward, the state after, and metrics (scalars).
+          The reward, the state after, and metrics (scalars). Two of them count mistakes that are
+          seen only inside `jax.jit`, and must be 0: `unknown_actions`, and `resets_as_next_obs`,
+          ends of episodes whose `next_obs` is the first observation of the next episode.
 
         Raises:
           ValueError: an array has another shape or dtype than the example says, or an action is
@@ -153,7 +172,7 @@ class BonusStepBatch(Protocol):
         action: Int[Array, " B"],
         next_obs: Shaped[Array, "B *frame"],
         *,
-        valid: Bool[Array, " B"] | None = None,
+        valid: Shaped[Array, " B"] | None = None,
         train: bool = True,
     ) -> tuple[Float[Array, " B"], BonusState, Metrics]:
         """Return the intrinsic reward of B transitions in no order, and train on them.
@@ -164,7 +183,8 @@ class BonusStepBatch(Protocol):
           action: what it did.
           next_obs: the next observation.
           valid: the rows whose `next_obs` is the true one, not the first of another episode; the
-            others get 0 and are not trained on. None: all.
+            others get 0 and are not trained on. Booleans, or numbers of which only 0 is False.
+            None: all.
           train: False: read only; running statistics still move.
 
         Returns:

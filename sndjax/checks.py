@@ -3,14 +3,15 @@
 Shapes are checked always; values only where they are known, outside of `jax.jit`.
 """
 
+from typing import Any
+
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Int, Shaped
 
 from sndjax.types import Rollout
 
-CHANNELS = 16  # so many channels, on the first axis, beside sides of
-SIDE = 32  # pixels or more, are channels in the wrong place
+SIDE = 32  # pixels, of an image; a shorter first axis beside two such sides is one of channels
 BRIGHT = 16.0  # a float image that holds more is not in [0, 1], and not standardised either
 
 
@@ -90,6 +91,21 @@ def check_below(what: str, numbers: np.ndarray, limit: int) -> None:
         raise ValueError(f"{what} {wrong[0]} does not exist: there are {limit}, 0 to {limit - 1}")
 
 
+def check_choice(name: str, value: Any, words: tuple[str, ...]) -> None:
+    """Check that an option is one of its words.
+
+    Args:
+      name: of the option.
+      value: what was given.
+      words: what it may be.
+
+    Raises:
+      ValueError: it is none of them.
+    """
+    if value not in words:
+        raise ValueError(f"{name}={value!r}; it is one of {', '.join(words)}")
+
+
 def check_channels_last(shape: tuple[int, ...]) -> None:
     """Check that a frame of three axes does not have its channels first.
 
@@ -99,7 +115,7 @@ def check_channels_last(shape: tuple[int, ...]) -> None:
     Raises:
       ValueError: it has.
     """
-    if len(shape) == 3 and shape[0] <= CHANNELS and min(shape[1:]) >= SIDE:
+    if len(shape) == 3 and shape[0] < SIDE and min(shape[1:]) >= SIDE:
         raise ValueError(f"frames of shape {shape} have their channels first; they must be last")
 
 

@@ -7,9 +7,10 @@ own published experiments ran; `sndjax/algorithm_table.py` names the cells of th
 from collections.abc import Callable, Mapping
 from inspect import isfunction, signature
 from types import ModuleType
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 from sndjax import objectives, signals
+from sndjax.checks import check_choice
 from sndjax.convolution import Convolution
 from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.module import make_intrinsic_module
@@ -262,13 +263,18 @@ def make_module(
       signal_options: arguments of the signal's constructor.
 
     Raises:
-      ValueError: there is no such objective or signal, the known ones are named; `action_input`,
-        and this is not distillation without an objective (QRND); or the signal has no such option.
+      ValueError: there is no such objective or signal, the known ones are named; an option is none
+        of its words; `action_input`, and this is not distillation without an objective (QRND); or
+        the signal has no such option.
 
     >>> from sndjax import VECTOR
     >>> make_module("inverse_dynamics", "re3", 3, VECTOR)  # doctest: +ELLIPSIS
     IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=4, average=True, ...
     """
+    check_choice("preprocess", preprocess, get_args(Preprocess))
+    check_choice("activation", activation, get_args(Activation))
+    check_choice("pairing", pairing, get_args(Pairing))
+    check_choice("gradient", gradient, get_args(Gradient))
     recipe = find_objective(objective, objective_options)
     copies = signal in ("distillation", SIGNALS["distillation"])
     if action_input and (recipe.objective is not None or not copies):

@@ -16,7 +16,7 @@ from sndjax.optimizer_steps import (
     optimizer_step,
     step_with_rows,
 )
-from sndjax.rollout import gather_transitions, slice_transitions
+from sndjax.rollout import gather_rows, slice_transitions
 from sndjax.scaling import RewardScale, scale_reward
 from sndjax.types import Metrics, Params, ReturnStatistics, Rollout, State
 
@@ -139,7 +139,7 @@ def train_module(
         params, _, module_state = carry
         index, key = inputs
         batch = (
-            gather_transitions(rollout, index)
+            gather_rows(rollout, index)
             if apart
             else slice_transitions(rollout, index[0], index.shape[0])
         )

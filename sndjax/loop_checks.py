@@ -43,15 +43,16 @@ class LoopShapes(NamedTuple):
             raise ValueError(f"{name} is {array.dtype}, and the example is {self.dtype}")
 
 
-def check_example(example: Any) -> Shaped[Array, "*frame"]:
-    """Return the first observation of an example of vectors [N, D] or images [N, H, W, C].
+def check_example(example: Any, num_actions: int) -> LoopShapes:
+    """Return what arrays must look like, from an example of observations [N, ...].
 
     Args:
-      example: observations of all environments.
+      example: observations of all environments: vectors [N, D], images [N, H, W, C], or grids.
+      num_actions: A.
 
     Raises:
-      ValueError: it is no array, has no axis of environments, or an image has no axis of channels
-        or has it first.
+      ValueError: it is no array, has no axis of environments or more axes than an image, or an
+        image has no axis of channels or has it first; or A is not positive.
     """
     if not hasattr(example, "shape"):
         raise ValueError(
@@ -61,16 +62,24 @@ def check_example(example: Any) -> Shaped[Array, "*frame"]:
     if example.ndim < 2:
         raise ValueError(
             f"example has shape {example.shape}; it must be [N, ...], the observations of N "
-            "environments; for a single environment write obs[None]"
+            "environments; for a single environment write obs[None], for one number of each "
+            "write obs[:, None]"
         )
     frame = tuple(example.shape[1:])
     check_channels_last(frame)
+    if len(frame) > 3:
+        raise ValueError(
+            f"observations of shape {frame} have more axes than an image [H, W, C]; join stacked "
+            "frames on the last axis, or pass the newest one"
+        )
     if len(frame) == 2 and min(frame) >= SIDE:
         raise ValueError(
             f"observations of shape {frame} are images without an axis of channels; write "
             "obs[..., None]"
         )
-    return example[0]
+    if num_actions < 1:
+        raise ValueError(f"num_actions={num_actions}; it must be 1 or more")
+    return LoopShapes(frame, example.dtype, num_actions)
 
 
 def check_steps(
@@ -117,7 +126,7 @@ def check_steps(
         check_rows("last_obs", last_obs.shape[:1], rows[1:])
     check_action(shapes, action, rows)
     check_flags("done", done, rows)
-    return jnp.asarray(done) != 0
+    return jnp.asarray(done).astype(bool)
 
 
 def check_batch(
@@ -125,9 +134,9 @@ def check_batch(
     obs: Shaped[Array, "B *frame"],
     action: Int[Array, " B"],
     next_obs: Shaped[Array, "B *frame"],
-    valid: Bool[Array, " B"] | None,
-) -> None:
-    """Check the arrays of B transitions.
+    valid: Shaped[Array, " B"] | None,
+) -> Bool[Array, " B"]:
+    """Check the arrays of B transitions, and return `valid` as booleans.
 
     Args:
       shapes: what they must look like.
@@ -144,8 +153,10 @@ def check_batch(
     shapes.check("next_obs", next_obs, ("B",))
     check_rows("next_obs", next_obs.shape[:1], rows)
     check_action(shapes, action, rows)
-    if valid is not None:
-        check_flags("valid", valid, rows)
+    if valid is None:
+        return jnp.ones(rows, bool)
+    check_flags("valid", valid, rows)
+    return jnp.asarray(valid).astype(bool)
 
 
 def check_action(shapes: LoopShapes, action: Any, rows: tuple[int, ...]) -> None:
@@ -160,6 +171,12 @@ def check_action(shapes: LoopShapes, action: Any, rows: tuple[int, ...]) -> None
       ValueError: they have another shape, are no integers, or one is not below A (where its value
         is known).
     """
+    continuous = hasattr(action, "shape") and tuple(action.shape[:-1]) == rows
+    if continuous and len(rows) > 0 and action.shape[-1] != 1:
+        raise ValueError(
+            f"action has shape {tuple(action.shape)}: vectors of continuous actions are not "
+            f"supported; actions are integers of shape {rows}"
+        )
     check_flags("action", action, rows)
     if not jnp.issubdtype(action.dtype, jnp.integer):
         raise ValueError(

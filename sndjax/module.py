@@ -101,8 +101,17 @@ def init_module(
         encoder=None if objective else encoder,
         moments=moments,
         signal=signal_state,
-        slow=None if parts.ema_decay is None else TargetWeights(params.encoder, params.objective),
+        slow=None if parts.ema_decay is None else copy_weights(params),
     )
+
+
+def copy_weights(params: ModuleParams) -> TargetWeights:
+    """Return target networks with the weights of the others, in arrays of their own.
+
+    A state that holds an array twice cannot be donated to a jitted function.
+    """
+    online = TargetWeights(params.encoder, params.objective)
+    return jax.tree.map(lambda x: jnp.array(x, copy=True), online)
 
 
 def module_reward(

@@ -2,16 +2,28 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.algorithms import make_named
-from sndjax.autoreset import from_autoreset, from_carried_observations
-from sndjax.bonus_record import PRESETS, Bonus, BonusSettings, BonusState, check_settings
+from sndjax.autoreset import (
+    count_resets_as_next,
+    from_autoreset,
+    from_carried_observations,
+)
+from sndjax.bonus_record import (
+    PRESETS,
+    Bonus,
+    BonusChanges,
+    BonusSettings,
+    BonusState,
+    check_settings,
+)
 from sndjax.convolution import to_float
+from sndjax.grid import make_module
 from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.intrinsic_training import (
     IntrinsicConfig,
@@ -38,7 +50,7 @@ def bonus(
     example: Shaped[Array, "N *frame"],
     preset: str = "thesis",
     module_options: Mapping[str, Any] = {},
-    **settings: Any,
+    **settings: Unpack[BonusChanges],
 ) -> Bonus:
     """Make an intrinsic reward for a loop of one's own.
 
@@ -46,18 +58,19 @@ def bonus(
     layers of 64, images the thesis' four convolutions (a smaller network with `preset="small"`).
 
     Args:
-      name: of an algorithm (`sndjax.ALGORITHMS`), or a module, of any cell (`make_module`).
+      name: of an algorithm (`sndjax.ALGORITHMS`); of a cell, objective and signal, such as
+        "none+noveld"; or a module of one's own.
       num_actions: A.
       example: observations of all N environments, as in `init`; only shape and dtype are read.
-      preset: "thesis", or "small" for tasks of minutes. With "small", and for signals without a
-        published unit, the reward is scaled by its running deviation; vectors are standardized
-        either way.
-      module_options: of a named algorithm, see `make_module`.
+      preset: "thesis", or "small" for tasks of minutes. With "small", for vectors, and for signals
+        without a published unit, the reward is scaled by its running deviation, with eta 1;
+        vectors are standardized either way.
+      module_options: of a name, see `make_module`.
       **settings: the fields of `BonusSettings`, over those of the preset.
 
     Raises:
-      ValueError: there is no such algorithm, preset or setting, or `example` is none of vectors
-        [N, D] and images [N, H, W, C].
+      ValueError: there is no such algorithm, preset or setting, a setting has another value than
+        it may have, or `example` is none of vectors [N, D], images [N, H, W, C] and grids.
 
     >>> obs = jnp.zeros((8, 2))  # 8 environments
     >>> rewarder = bonus("snd_vic", num_actions=3, example=obs, preset="small")
@@ -68,22 +81,27 @@ def bonus(
     >>> reward.shape
     (16, 8)
     """
-    frame = check_example(example)
+    shapes = check_example(example, num_actions)
     if preset not in PRESETS:
         raise ValueError(f"unknown preset '{preset}'; there is {', '.join(PRESETS)}")
     check_settings(settings)
-    size = size_for(frame.shape, small=preset == "small")
+    size = size_for(shapes.frame, small=preset == "small")
     if isinstance(name, str):
-        module = make_named(name, num_actions, size, **module_options)
+        objective, cell, signal = name.partition("+")
+        module = (
+            make_module(objective, signal, num_actions, size, **module_options)
+            if cell
+            else make_named(name, num_actions, size, **module_options)
+        )
     elif module_options:
         raise ValueError("module_options are for named algorithms; this module is made already")
     else:
         module = name
     chosen = PRESETS[preset]._replace(standardize=not size.channels)
-    if not module.has_published_scale:
+    if not (module.has_published_scale and size.channels):
         chosen = chosen._replace(eta=1.0, reward_scale="running_std")
     chosen = chosen._replace(**settings)
-    parts = Parts(module, chosen, LoopShapes(frame.shape, frame.dtype, num_actions))
+    parts = Parts(module, chosen, shapes)
     return Bonus(
         init=partial(init_bonus, parts),
         step=partial(step_bonus, parts),
@@ -173,6 +191,8 @@ def step_bonus(
         rollout = from_carried_observations(obs, last, action, ended, state.first, reset)
         stride = 1
     reward, state, metrics = reward_and_train(parts, state, rollout, stride, train)
+    if stride == 2 and next_obs is not None:
+        metrics["resets_as_next_obs"] = count_resets_as_next(obs, next_obs, ended)
     before, last_done = jnp.concatenate([state.reset[None], ended])[-2:]
     state = state._replace(
         first=before if next_step else last_done,
@@ -188,7 +208,7 @@ def step_batch(
     action: Int[Array, " B"],
     next_obs: Shaped[Array, "B *frame"],
     *,
-    valid: Bool[Array, " B"] | None = None,
+    valid: Shaped[Array, " B"] | None = None,
     train: bool = True,
 ) -> tuple[Float[Array, " B"], BonusState, Metrics]:
     """Return the intrinsic reward of B transitions, and train on them. See `BonusStepBatch`.
@@ -213,11 +233,10 @@ def step_batch(
             "or take a signal without episode memory: distillation, prediction, disagreement, "
             "re3 or simhash"
         )
-    check_batch(parts.shapes, obs, action, next_obs, valid)
-    no = jnp.zeros(action.shape, bool)
+    counted = check_batch(parts.shapes, obs, action, next_obs, valid)
+    no = jnp.zeros_like(counted)
     rollout = from_autoreset(obs[None], next_obs[None], action[None], no[None])
-    if valid is not None:
-        rollout = rollout._replace(valid=valid[None])
+    rollout = rollout._replace(valid=counted[None])
     # Rows in no order have no sum over time: that of a single reward is the reward.
     alone = state.returns._replace(discounted=jnp.zeros(action.shape, jnp.float32))
     own = parts._replace(settings=parts.settings._replace(discount=0.0))
@@ -256,13 +275,13 @@ def reward_and_train(
     )
     trained = state.trained._replace(intrinsic_state=read.intrinsic_state)
     beyond = (rollout.action < 0) | (rollout.action >= parts.shapes.num_actions)
-    metrics = read.metrics | {"unknown_actions": jnp.sum(beyond & rollout.valid)}
+    metrics = read.metrics | {"unknown_actions": jnp.sum(beyond & rollout.valid, dtype=jnp.int32)}
     if train:
         steps, envs = rollout.action[::stride].shape
         index = jnp.concatenate(
             [
-                minibatch_rows(key, steps, envs, settings.minibatch_size, settings.shuffle, stride)
-                for key in jax.random.split(key_order, settings.epochs)
+                minibatch_rows(one, steps, envs, settings.minibatch_size, settings.shuffle, stride)
+                for one in jax.random.split(key_order, settings.epochs)
             ]
         )
         trained, learned = train_module(config, trained, rollout, index, key_loss)
@@ -273,8 +292,7 @@ def reward_and_train(
             trained=trained,
             returns=read.reward_scale,
             observations=observations,
-            first=hint_under_vmap(state.first),
-            key=key,
+            key=hint_under_vmap(key),
         ),
         metrics,
     )

@@ -35,8 +35,18 @@ def gather_transitions(rollout: Rollout, index: Int[Array, " B"]) -> Transition:
       ValueError: a row does not exist, or the arrays of the rollout do not belong together.
     """
     check_rollout(rollout)
+    check_rows(index, rollout.action.size)
+    return gather_rows(rollout, index)
+
+
+def gather_rows(rollout: Rollout, index: Int[Array, " B"]) -> Transition:
+    """Gather rows; one that does not exist is not valid. See `gather_transitions`.
+
+    Args:
+      rollout: T steps of N environments.
+      index: B rows.
+    """
     rows, envs = rollout.action.size, rollout.action.shape[1]
-    check_rows(index, rows)
     frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
     seen = jnp.concatenate([frames[index], frames[index + envs]])
     action, first, done, valid = (x.reshape(-1)[index] for x in rollout[1:])

@@ -132,5 +132,5 @@ def test_settings_of_the_manual_are_those_of_the_presets():
         thesis, small = (cell.strip(" `") for cell in rows[field].split("|")[:2])
         for shown, preset in ((thesis, "thesis"), (small, "small")):
             value = getattr(PRESETS[preset], field)
-            if field != "standardize":  # it follows from the observations
+            if field != "standardize":  # that follows from the observations
                 assert shown == str(value) or float(shown) == value, (field, preset)

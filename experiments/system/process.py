@@ -8,8 +8,6 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-import psutil
-
 from .errors import TaskError, print_error
 
 # Schedules an update's operations for low memory on a CPU: a third less
@@ -50,11 +48,15 @@ def enable_compilation_cache() -> None:
 
 def rss_mb() -> float:
     """Return the resident memory of this process in MB."""
+    import psutil  # of the extra `lab`
+
     return psutil.Process().memory_info().rss / 1e6
 
 
 def available_memory() -> int:
     """Return the memory in bytes that new data can take."""
+    import psutil
+
     return psutil.virtual_memory().available
 
 
