@@ -9,13 +9,8 @@ import griffe
 def to_markdown(text: str) -> str:
     """Return a docstring with its examples fenced, and `::` before indented text as a colon.
 
-    >>> print(to_markdown("Add.\\n\\n>>> 1 + 1\\n2"))
-    Add.
-    <BLANKLINE>
-    ```pycon
-    >>> 1 + 1
-    2
-    ```
+    >>> to_markdown("The equation is::\\n\\n    r = 0")
+    'The equation is:\\n\\n    r = 0'
     """
     text = re.sub(r"::\n", ":\n", text)
     example = r"^( *)(>>> .*(?:\n\1\S.*)*)"  # up to a blank line
