@@ -232,7 +232,13 @@ def locked():
     return [line for line in lines if line and not line.startswith("#")]
 
 
-@pytest.mark.parametrize("version", ["3.11", "3.13"])
+EXHAUSTIVE = pytest.mark.exhaustive
+
+
+@pytest.mark.parametrize(
+    "version",
+    [pytest.param("3.11", marks=EXHAUSTIVE), pytest.param("3.12", marks=EXHAUSTIVE), "3.13"],
+)
 @pytest.mark.parametrize("platform", PLATFORMS, ids="-".join)
 def test_core_has_wheels_wherever_jax_does(platform, version, core, tmp_path):
     names = set(installed_sizes(core)) - {"sndjax"}
@@ -242,8 +248,8 @@ def test_core_has_wheels_wherever_jax_does(platform, version, core, tmp_path):
     assert find_wheels(lines, platform, version, tmp_path) == ""
 
 
-@pytest.mark.parametrize("platform", PLATFORMS, ids="-".join)
-def test_lock_of_the_laboratory_has_wheels_everywhere(platform, tmp_path):
+@pytest.mark.parametrize("platform", list(PLATFORMS)[1:], ids="-".join)
+def test_lock_of_the_laboratory_has_wheels_on_arm(platform, tmp_path):
     """It contains what the library alone needs."""
     assert find_wheels(locked(), platform, "3.12", tmp_path) == ""
     if platform == ("linux", "aarch64"):
