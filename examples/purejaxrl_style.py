@@ -23,7 +23,7 @@ import sndjax  # +
 
 LIMIT, SEEDS = 100, 5
 ENVS, STEPS, UPDATES, EPOCHS, MINIBATCHES = 16, 100, 200, 4, 8
-GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.01, 5e-4
+GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.02, 5e-4
 METHODS = {"PPO": ("rnd", 0.0), "RND": ("rnd", 1.0), "SND-VIC": ("snd_vic", 1.0)}
 MAZE = jnp.array([[cell == "#" for cell in row] for row in (
     "..........",
