@@ -72,7 +72,8 @@ class ActorCritic(nn.Module):
 
     @nn.compact
     def __call__(self, x):
-        layer = lambda x, width: nn.tanh(nn.Dense(width, kernel_init=nn.initializers.he_normal())(x))
+        start = nn.initializers.he_normal()
+        layer = lambda x, width: nn.tanh(nn.Dense(width, kernel_init=start)(x))
         logits = nn.Dense(4, kernel_init=nn.initializers.normal(0.01))(layer(layer(x, 64), 64))
         return logits, nn.Dense(1)(layer(layer(x, 64), 64))[..., 0]
 

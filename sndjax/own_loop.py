@@ -239,9 +239,8 @@ def step_batch(
     rollout = rollout._replace(valid=counted[None])
     # Rows in no order have no sum over time: that of a single reward is the reward.
     alone = state.returns._replace(discounted=jnp.zeros(action.shape, jnp.float32))
-    own = parts._replace(settings=parts.settings._replace(discount=0.0))
     reward, after, metrics = reward_and_train(
-        own, state._replace(returns=alone), rollout, stride=1, train=train
+        parts, state._replace(returns=alone), rollout, stride=1, train=train
     )
     returns = after.returns._replace(discounted=state.returns.discounted)
     return reward[0], after._replace(returns=returns), metrics
