@@ -120,10 +120,10 @@ def check_steps(
         )
     if next_obs is not None:
         shapes.check("next_obs", next_obs, ("T", "N"))
-        check_rows("next_obs", next_obs.shape[:2], rows)
+        check_leading_axes("next_obs", next_obs.shape[:2], rows)
     if last_obs is not None:
         shapes.check("last_obs", last_obs, ("N",))
-        check_rows("last_obs", last_obs.shape[:1], rows[1:])
+        check_leading_axes("last_obs", last_obs.shape[:1], rows[1:])
     check_action(shapes, action, rows)
     check_flags("done", done, rows)
     return jnp.asarray(done).astype(bool)
@@ -151,7 +151,7 @@ def check_batch(
     shapes.check("obs", obs, ("B",), "; for [T, N, ...] call step")
     rows = tuple(obs.shape[:1])
     shapes.check("next_obs", next_obs, ("B",))
-    check_rows("next_obs", next_obs.shape[:1], rows)
+    check_leading_axes("next_obs", next_obs.shape[:1], rows)
     check_action(shapes, action, rows)
     if valid is None:
         return jnp.ones(rows, bool)
@@ -198,10 +198,10 @@ def check_flags(name: str, array: Any, rows: tuple[int, ...]) -> None:
     """
     if not hasattr(array, "shape"):
         raise ValueError(f"{name} is {array!r}; it must be an array of shape {rows}")
-    check_rows(name, tuple(array.shape), rows)
+    check_leading_axes(name, tuple(array.shape), rows)
 
 
-def check_rows(name: str, shape: tuple[int, ...], rows: tuple[int, ...]) -> None:
+def check_leading_axes(name: str, shape: tuple[int, ...], rows: tuple[int, ...]) -> None:
     """Check that the leading axes of an array are those of `obs`.
 
     Args:

@@ -22,6 +22,7 @@ from sndjax.bonus_record import (
     BonusState,
     check_settings,
 )
+from sndjax.checks import check_choice
 from sndjax.convolution import to_float
 from sndjax.grid import make_module
 from sndjax.intrinsic_module import IntrinsicModule
@@ -82,8 +83,7 @@ def bonus(
     (16, 8)
     """
     shapes = check_example(example, num_actions)
-    if preset not in PRESETS:
-        raise ValueError(f"unknown preset '{preset}'; there is {', '.join(PRESETS)}")
+    check_choice("preset", preset, tuple(PRESETS))
     check_settings(settings)
     size = size_for(shapes.frame, small=preset == "small")
     if isinstance(name, str):
@@ -101,7 +101,7 @@ def bonus(
     if not (module.has_published_scale and size.channels):
         chosen = chosen._replace(eta=1.0, reward_scale="running_std")
     chosen = chosen._replace(**settings)
-    parts = Parts(module, chosen, shapes)
+    parts = BonusParts(module, chosen, shapes)
     return Bonus(
         init=partial(init_bonus, parts),
         step=partial(step_bonus, parts),
@@ -111,7 +111,7 @@ def bonus(
     )
 
 
-class Parts(NamedTuple):
+class BonusParts(NamedTuple):
     """What a bonus is made of."""
 
     module: IntrinsicModule
@@ -127,7 +127,7 @@ class Parts(NamedTuple):
         )
 
 
-def init_bonus(parts: Parts, key: PRNGKeyArray, obs: Shaped[Array, "N *frame"]) -> BonusState:
+def init_bonus(parts: BonusParts, key: PRNGKeyArray, obs: Shaped[Array, "N *frame"]) -> BonusState:
     """Return the state of a bonus before any step. See `BonusInit`.
 
     Args:
@@ -154,7 +154,7 @@ def init_bonus(parts: Parts, key: PRNGKeyArray, obs: Shaped[Array, "N *frame"]) 
 
 
 def step_bonus(
-    parts: Parts,
+    parts: BonusParts,
     state: BonusState,
     obs: Shaped[Array, "T N *frame"],
     action: Int[Array, "T N"],
@@ -202,7 +202,7 @@ def step_bonus(
 
 
 def step_batch(
-    parts: Parts,
+    parts: BonusParts,
     state: BonusState,
     obs: Shaped[Array, "B *frame"],
     action: Int[Array, " B"],
@@ -247,7 +247,7 @@ def step_batch(
 
 
 def reward_and_train(
-    parts: Parts, state: BonusState, rollout: Rollout, stride: int, train: bool
+    parts: BonusParts, state: BonusState, rollout: Rollout, stride: int, train: bool
 ) -> tuple[Float[Array, "R N"], BonusState, Metrics]:
     """Read the rewards of a rollout with the weights before, then train on it.
 

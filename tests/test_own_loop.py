@@ -417,7 +417,7 @@ def test_bonus_unknown_names_and_settings_are_answered_with_those_there_are(unch
     example = jnp.zeros((N, D))
     with pytest.raises(ValueError, match="no intrinsic module is called 'snd'; there is rnd"):
         bonus("snd", A, example)
-    with pytest.raises(ValueError, match="unknown preset 'tiny'; there is thesis, small"):
+    with pytest.raises(ValueError, match="preset='tiny'; it is one of thesis, small"):
         bonus("rnd", A, example, preset="tiny")
     with pytest.raises(ValueError, match="no setting lr; it has eta"):
         bonus("rnd", A, example, lr=1.0)
