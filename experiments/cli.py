@@ -51,6 +51,7 @@ def help_text() -> str:
     lines = [
         "usage: sndjax env=NAME algo=NAME [key=value ...]     train: the same as sndjax run ...",
         "       sndjax COMMAND ...",
+        "       sndjax --version",
         "",
         "commands (sndjax COMMAND --help says more)",
         *(f"  {name:<14} {about}" for name, about in COMMANDS.items()),
@@ -88,6 +89,11 @@ def main(arguments: list[str]) -> int:
             f"{missing[0]} is not installed: the commands are the laboratory, and this is the "
             "library alone; run: pip install 'sndjax[lab]'"
         )
+    if arguments[0] == "--version":
+        from .system.versions import version_line
+
+        print(version_line())
+        return 0
     name, rest = split_command(arguments)
     if name not in COMMANDS:
         from .config.validation import unknown_name_error

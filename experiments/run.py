@@ -7,13 +7,16 @@ refused at once.
 import errno
 import os
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from .config.command_text import resume_command
 from .config.compose import load_config
-from .config.help import run_help
+from .config.explain import describe_config
+from .config.help import HELP
+from .config.key_value import to_key_value
+from .config.option_help import run_help
 from .config.saved import CONFIG
 from .config.schema import Config
 from .config.tool_options import asks_for_help
@@ -22,6 +25,7 @@ from .system.errors import ConfigError, NonFiniteError, TaskError, WriteError, p
 from .system.interrupts import Interrupted, Interrupts
 from .system.jax_settings import jax_problem
 from .system.process import configure_xla, run_script
+from .system.versions import version_line
 
 # What a disk answers that is full, broken or not to be written.
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -59,9 +63,14 @@ def main(arguments: Sequence[str]) -> int:
     environment or another error stopped; 2 for bad input; 130 and 143 for a run that SIGINT and
     SIGTERM stopped.
     """
-    if asks_for_help(arguments) or list(arguments[:1]) == ["help"]:
-        print(run_help())
+    arguments = to_key_value(arguments)
+    if asks_for_help(arguments) or arguments[:1] == ["help"]:
+        return print_text(lambda: run_help([a for a in arguments if a not in HELP]))
+    if "--version" in arguments:
+        print(version_line())
         return 0
+    if "--cfg" in arguments:
+        return print_text(lambda: describe_config([a for a in arguments if a != "--cfg"]))
     if set(arguments) & {"-m", "--multirun"}:
         from .sweeps.multirun import multirun
 
@@ -71,6 +80,15 @@ def main(arguments: Sequence[str]) -> int:
             return print_error(error)
     with Interrupts() as interrupts:
         return train(list(arguments), interrupts)
+
+
+def print_text(make: Callable[[], str]) -> int:
+    """Print the text that a function returns, or its ConfigError; return the exit status."""
+    try:
+        print(make())
+    except ConfigError as error:
+        return print_error(error)
+    return 0
 
 
 def open_run_directory(config: Config) -> RunDirectory | FollowerDirectory:

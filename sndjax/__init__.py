@@ -8,7 +8,8 @@ A module is four pure functions: `init`, `reward`, `loss` and `update`; see `Int
 >>> params, state = module.init(jax.random.key(0), jnp.zeros((1, 2)))
 """
 
-from sndjax.acting import Actor, ActOutput, AgentSpec, act
+from sndjax.acting import Actor, ActorMemory, ActOutput, AgentSpec, act
+from sndjax.actor_critic import ActorCritic
 from sndjax.algorithm_table import ALGORITHMS
 from sndjax.algorithms import (
     icm,
@@ -25,6 +26,7 @@ from sndjax.algorithms import (
     sp_vic,
     sp_vinv,
 )
+from sndjax.architectures import ATARI, PROCGEN, SMALL, VECTOR, Architecture
 from sndjax.autoreset import from_autoreset
 from sndjax.bonus_record import Bonus, BonusSettings, BonusState
 from sndjax.checks import check_rollout
@@ -40,16 +42,7 @@ from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.intrinsic_training import IntrinsicConfig
 from sndjax.jax_environment import JaxEnvironment
 from sndjax.module import make_intrinsic_module
-from sndjax.networks import (
-    ATARI,
-    MLP,
-    PROCGEN,
-    SMALL,
-    VECTOR,
-    ActorCritic,
-    Architecture,
-    Encoder,
-)
+from sndjax.networks import MLP, Encoder
 from sndjax.objectives.barlow_twins import barlow_twins, barlow_twins_loss
 from sndjax.objectives.byol import byol, byol_distance
 from sndjax.objectives.contrastive import contrastive, contrastive_loss
@@ -100,6 +93,7 @@ __all__ = [
     "ActOutput",
     "Actor",
     "ActorCritic",
+    "ActorMemory",
     "AgentSpec",
     "Architecture",
     "Bonus",

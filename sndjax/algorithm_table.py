@@ -20,6 +20,7 @@ class Algorithm(NamedTuple):
       source: where the thesis (or the article) defines it.
       options: further arguments of `sndjax.make_module`.
       objective_options: arguments of the objective's constructor.
+      signal_options: arguments of the signal's constructor.
     """
 
     objective: str | None
@@ -28,7 +29,16 @@ class Algorithm(NamedTuple):
     source: str
     options: Mapping[str, Any] = {}
     objective_options: Mapping[str, Any] = {}
+    signal_options: Mapping[str, Any] = {}
 
+
+# How the published experiments of an objective reduce the distillation of its encoder: arguments
+# of the signals that have a predictor.
+DISTILLATION: dict[str, Mapping[str, Any]] = {
+    "none": {"reward_reduction": "half_sum", "update_proportion": 0.25},  # Burda et al., 2018
+    "contrastive": {"update_proportion": 0.25},
+    "st_dim": {"loss_reduction": "sum"},
+}
 
 ALGORITHMS: dict[str, Algorithm] = {
     "ppo": Algorithm(
@@ -89,7 +99,8 @@ ALGORITHMS: dict[str, Algorithm] = {
         "prediction",
         "intrinsic curiosity module (Pathak et al., 2017)",
         "section 4.1.1",
-        options={"gradient": "detached", "weights": (0.8, 0.2)},
+        options={"weights": (0.8, 0.2)},
+        signal_options={"gradient": "detached"},
     ),
     "sp": Algorithm(
         "st_dim",

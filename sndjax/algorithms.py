@@ -2,17 +2,17 @@
 
 What each is made of stands in `sndjax.algorithm_table`. Each takes the number of actions and an
 `Architecture`, returns an `IntrinsicModule`, and passes further options on to
-`sndjax.make_module`: `preprocess`, `activation`, `pairing` for those with a predictor,
-`gradient` for those with a forward model.
+`sndjax.make_module`: `preprocess`, `activation`, `objective_options`, `signal_options`, and
+`pairing` for those with a predictor.
 """
 
 from collections.abc import Callable
 from typing import Any
 
 from sndjax.algorithm_table import ALGORITHMS
+from sndjax.architectures import ATARI, Architecture
 from sndjax.grid import make_module
 from sndjax.intrinsic_module import IntrinsicModule
-from sndjax.networks import ATARI, Architecture
 
 
 def make_named(
@@ -44,8 +44,12 @@ def make_named(
         row.signal,
         num_actions,
         size,
-        objective_options=row.objective_options,
-        **{**row.options, **options},
+        **{
+            **row.options,
+            **options,
+            "objective_options": {**row.objective_options, **options.get("objective_options", {})},
+            "signal_options": {**row.signal_options, **options.get("signal_options", {})},
+        },
     )
 
 
@@ -154,7 +158,7 @@ def snd_byol(num_actions: int, size: Architecture = ATARI, **options: Any) -> In
 def icm(num_actions: int, size: Architecture = ATARI, **options: Any) -> IntrinsicModule:
     """Make the intrinsic curiosity module: 0.8 inverse + 0.2 forward (4.1.1; Pathak et al., 2017).
 
-    No gradient of the forward loss reaches z_t+1: `gradient` is "detached".
+    No gradient of the forward loss reaches z_t+1: the signal's `gradient` is "detached".
 
     Args:
       num_actions: A.

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.acting import Actor, AgentSpec, act
+from sndjax.acting import Actor, ActorMemory, AgentSpec, act
+from sndjax.actor_critic import ActorCritic, Hidden
 from sndjax.jax_environment import (
     JaxEnvironment,
     Keys,
@@ -29,6 +30,12 @@ class LiveEnvironments(NamedTuple):
     first: Bool[Array, " N"]  # it opens an episode
     ended: Bool[Array, " N"]  # it closes one: the next step resets the environment
     window: Shaped[Array, "S N *frame"]  # the stack before this frame
+    hidden: Hidden = None  # of a recurrent policy
+
+    @property
+    def memory(self) -> ActorMemory:
+        """Return what the policy remembers of the running episodes."""
+        return ActorMemory(self.window, self.hidden)
 
 
 class EnvironmentRow(NamedTuple):
@@ -46,7 +53,11 @@ StepRows = Callable[
 
 
 def init_environments(
-    env: JaxEnvironment, key: PRNGKeyArray, num_envs: int, stack: int = 1
+    env: JaxEnvironment,
+    key: PRNGKeyArray,
+    num_envs: int,
+    stack: int = 1,
+    network: ActorCritic | None = None,
 ) -> LiveEnvironments:
     """Reset N environments.
 
@@ -55,11 +66,13 @@ def init_environments(
       key: of the resets; environment i gets `fold_in(key, i)`.
       num_envs: N.
       stack: the number of frames that the policy sees, `agent.stack.size`.
+      network: of the agent; needed where it has a memory.
 
     Raises:
       ValueError: the environment's functions do not fit each other.
     """
-    return init_with_keys(env, environment_keys(key, num_envs), stack)
+    live = init_with_keys(env, environment_keys(key, num_envs), stack)
+    return live._replace(hidden=network.initial_memory(num_envs)) if network else live
 
 
 def init_with_keys(env: JaxEnvironment, keys: Keys, stack: int = 1) -> LiveEnvironments:
@@ -121,7 +134,8 @@ def step_with_keys(
     state, frame, reward, terminated, truncated = jax.vmap(env.step)(keys, live.state, action)
     state, frame = reset_ended(env, live.ended, keys, (state, frame))
     row = make_row(live, reward, terminated, truncated)
-    return row, LiveEnvironments(state, frame, first=live.ended, ended=row.done, window=live.window)
+    after = live._replace(state=state, frame=frame, first=live.ended, ended=row.done)
+    return row, after
 
 
 def collect(
@@ -186,18 +200,19 @@ def collect_steps(
       The rollout, and the environments after it.
     """
     opening = push_frame(live.window, live.frame, live.first, agent.stack.repeat)
+    hidden = live.hidden
 
     def act_and_step(
         live: LiveEnvironments, t: Int[Array, ""]
     ) -> tuple[LiveEnvironments, tuple[Any, ...]]:
-        output, window = act(agent, actor, live.window, live.frame, live.first, t)
+        output, memory = act(agent, actor, live.memory, live.frame, live.first, t)
         row, after = step(live, output.executed, t)
-        return after._replace(window=window), (live.frame, live.first, output, row)
+        return after._replace(**memory._asdict()), (live.frame, live.first, output, row)
 
     times = jnp.arange(steps, dtype=jnp.int32)
     live, (frames, first, output, row) = lax.scan(act_and_step, live, times)
     # Only for the value of the last frame: the next rollout acts on it.
-    last, _ = act(agent, actor, live.window, live.frame, live.first, jnp.int32(steps))
+    last, _ = act(agent, actor, live.memory, live.frame, live.first, jnp.int32(steps))
     rollout = Rollout(
         frames=jnp.concatenate([frames, live.frame[None]]),
         action=output.action,
@@ -212,6 +227,7 @@ def collect_steps(
         truncated=row.truncated,
         log_prob=output.log_prob,
         value=jnp.concatenate([output.value, last.value[None]]),
+        hidden=hidden,
     ), live
 
 

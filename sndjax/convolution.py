@@ -1,4 +1,4 @@
-"""The convolution implementation: patches times weights.
+"""The convolution: patches times weights.
 
 On a CPU a few images go through all layers before the next do:
 what one layer hands to the next stays in the cache, and unlike XLA's native CPU convolution
@@ -8,15 +8,16 @@ each with its own kernel, it becomes a grouped one, and 22 times slower than one
 another (docs/results/speed.md). The tests hold the two equal.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Shaped
+
+from sndjax.activations import ACTIVATIONS, SLOPES, Activation
 
 CPU_SLICE = 8  # images that are in a CPU's cache at once
 DEVICE_SLICE = 1024  # images at once elsewhere: any minibatch of the thesis
@@ -33,19 +34,6 @@ class Convolution(NamedTuple):
 
 Layers = tuple[Convolution, ...]
 Weights = tuple[tuple[Array, Array], ...]  # the kernel [k, k, C, O] and the bias [O] of each
-Activation = Literal["elu", "relu", "none"]
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
-    "elu": jax.nn.elu,
-    "relu": jax.nn.relu,
-    "none": lambda x: x,
-}
-# The derivative of each activation as a function of its output.
-SLOPES: dict[str, Callable[[Array], Array]] = {
-    "elu": lambda y: jnp.where(y > 0, jnp.ones_like(y), y + 1),
-    "relu": lambda y: (y > 0).astype(y.dtype),
-    "none": jnp.ones_like,
-}
-
 
 PIXELS = 16  # the smallest side of an image of integers that are no uint8
 
@@ -282,7 +270,7 @@ def convolve(
       x: integer pixels (read as x / 255) or floats, channels last.
       weights: of each layer its kernel `[k, k, C, O]` and its bias `[O]`.
       layers: of each layer its channels O, its kernel side k, its stride and its padding.
-      activation: "elu", "relu" or "none".
+      activation: a name in `ACTIVATIONS`.
       output_layers: the layers whose maps are returned, counted from 0.
 
     Returns:

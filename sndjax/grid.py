@@ -10,17 +10,19 @@ from types import ModuleType
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 from sndjax import objectives, signals
+from sndjax.activations import Activation
+from sndjax.algorithm_table import DISTILLATION
+from sndjax.architectures import ATARI, Architecture
 from sndjax.checks import check_choice
 from sndjax.convolution import Convolution
 from sndjax.intrinsic_module import IntrinsicModule
 from sndjax.module import make_intrinsic_module
-from sndjax.networks import ATARI, ROOT_2, Architecture, Encoder
+from sndjax.networks import ROOT_2, Encoder
 from sndjax.preprocessing import Preprocess
 from sndjax.protocols import Objective, Signal
-from sndjax.signals.prediction import Gradient
 
-# "elu" or "relu" throughout; "published": what the experiments ran, see `ObjectiveRecipe`.
-Activation = Literal["elu", "relu", "published"]
+# One throughout, or "published": what the experiments ran, see `ObjectiveRecipe`.
+ModuleActivation = Literal["elu", "relu", "leaky_relu", "tanh", "published"]
 # Fig. 5.4: three linear layers in the predictor and one in the target, or two identical networks
 # with one linear layer, with two, or with one and ReLU.
 Pairing = Literal["asymmetric", "one_linear", "two_linear", "relu"]
@@ -64,19 +66,19 @@ PUBLISHED: dict[str, ObjectiveRecipe] = {
         convolutions="rnd",
         encoder_gain=ROOT_2,
         published="elu",
-        distillation={"reward_reduction": "half_sum", "update_proportion": 0.25},
+        distillation=DISTILLATION["none"],
     ),
     "contrastive": ObjectiveRecipe(
         objectives.contrastive,
         convolutions="snd_v",
         encoder_gain=ROOT_2,
         published="elu",
-        distillation={"update_proportion": 0.25},
+        distillation=DISTILLATION["contrastive"],
     ),
     "st_dim": ObjectiveRecipe(
         objectives.st_dim,
         predictor_gain=0.5,
-        distillation={"loss_reduction": "sum"},
+        distillation=DISTILLATION["st_dim"],
         wider_predictor=False,
     ),
     "inverse_dynamics": ObjectiveRecipe(
@@ -116,7 +118,6 @@ def make_signal(
     signal: AnySignal,
     predictor: Encoder,
     distillation: Mapping[str, Any],
-    gradient: Gradient,
     options: Mapping[str, Any] = {},
 ) -> Signal:
     """Make a signal with its options and those of the other arguments that its constructor takes.
@@ -125,7 +126,6 @@ def make_signal(
       signal: see `make_module`.
       predictor: the network that copies the encoder.
       distillation: how signals with a predictor reduce.
-      gradient: of a forward loss into the encoder.
       options: further arguments of the constructor.
 
     Raises:
@@ -141,8 +141,6 @@ def make_signal(
     if "predictor" in takes:
         given["predictor"] = predictor
         given |= {name: value for name, value in distillation.items() if name in takes}
-    if "gradient" in takes:
-        given["gradient"] = gradient
     if unknown := set(options) - set(takes):
         known = ", ".join(sorted(set(takes) - {"predictor"}))
         name = getattr(make, "__name__", "given")
@@ -184,7 +182,7 @@ def check_no_options(what: str, made: Any, options: Mapping[str, Any]) -> None:
 def make_encoder_and_predictor(
     recipe: ObjectiveRecipe,
     size: Architecture,
-    activation: Activation,
+    activation: ModuleActivation,
     pairing: Pairing,
     action_inputs: int = 0,
 ) -> tuple[Encoder, Encoder]:
@@ -195,7 +193,7 @@ def make_encoder_and_predictor(
     Args:
       recipe: what the objective's experiments ran.
       size: the sizes of the networks.
-      activation: "elu", "relu" or "published".
+      activation: see `make_module`.
       pairing: of predictor and target.
       action_inputs: A where both take the action as input, else 0.
     """
@@ -209,15 +207,23 @@ def make_encoder_and_predictor(
         predictor_layers = size.convolutions(size.last_predictor)
     if pairing == "relu":
         activation = "relu"
-    torso: Literal["elu", "relu"] = recipe.published if activation == "published" else activation
-    between: Literal["elu", "relu"] = "relu" if activation == "relu" else "elu"
+    torso: Activation = recipe.published if activation == "published" else activation
+    between: Activation = "elu" if activation == "published" else activation
     extra = {"asymmetric": (0, 2), "two_linear": (1, 1)}.get(pairing, (0, 0))
     if not size.channels and pairing == "asymmetric":
         extra = (0, 0)
 
     def encoder(layers: tuple[Convolution, ...], gain: float, extra: int) -> Encoder:
         return Encoder(
-            layers, size.hidden, size.features, gain, extra, torso, between, action_inputs
+            convolutions=layers,
+            hidden=size.hidden,
+            features=size.features,
+            gain=gain,
+            extra=extra,
+            activation=torso,
+            extra_activation=between,
+            num_actions=action_inputs,
+            layer_norm=size.layer_norm,
         )
 
     return (
@@ -233,9 +239,8 @@ def make_module(
     size: Architecture = ATARI,
     *,
     preprocess: Preprocess = "none",
-    activation: Activation = "elu",
+    activation: ModuleActivation = "elu",
     pairing: Pairing = "asymmetric",
-    gradient: Gradient = "symmetric",
     action_input: bool = False,
     weights: tuple[float, float] = (1.0, 1.0),
     objective_options: Mapping[str, Any] = {},
@@ -250,13 +255,13 @@ def make_module(
         `Objective`, or its constructor, whose networks are then those of VICReg; or an
         `ObjectiveRecipe`, which says what the networks are.
       signal: a name in `SIGNALS`; a `Signal`; or its constructor, which gets the arguments
-        `predictor` (the network that copies the encoder) and `gradient` if it takes them.
+        `predictor`, the network that copies the encoder, if it takes one.
       num_actions: A.
       size: the sizes of the networks.
       preprocess: what frames go through first: "none", "mean" or "standardize" (5.2.2).
-      activation: "elu", "relu" or "published".
+      activation: "elu", "relu", "leaky_relu", "tanh", or "published": that of each method's
+        experiments.
       pairing: of predictor and target (Fig. 5.4), where there is a predictor.
-      gradient: of the forward loss into the encoder, where there is one.
       action_input: the encoder and the predictor take the action as input.
       weights: of the objective's and of the signal's loss.
       objective_options: arguments of the objective's constructor.
@@ -272,9 +277,8 @@ def make_module(
     IntrinsicModule(objective=inverse_dynamics(last=1.0), signal=re3(k=4, average=True, ...
     """
     check_choice("preprocess", preprocess, get_args(Preprocess))
-    check_choice("activation", activation, get_args(Activation))
+    check_choice("activation", activation, get_args(ModuleActivation))
     check_choice("pairing", pairing, get_args(Pairing))
-    check_choice("gradient", gradient, get_args(Gradient))
     recipe = find_objective(objective, objective_options)
     copies = signal in ("distillation", SIGNALS["distillation"])
     if action_input and (recipe.objective is not None or not copies):
@@ -285,7 +289,7 @@ def make_module(
     return make_intrinsic_module(
         encoder,
         recipe.objective(**objective_options) if recipe.objective else None,
-        make_signal(signal, predictor, recipe.distillation, gradient, signal_options),
+        make_signal(signal, predictor, recipe.distillation, signal_options),
         num_actions,
         preprocess=preprocess,
         weights=weights,

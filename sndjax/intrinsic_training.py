@@ -30,10 +30,13 @@ class IntrinsicConfig(NamedTuple):
     learning_rate: float = 1e-4
     minibatch_size: int = 512
     shuffle: bool = False  # False: minibatches are runs of consecutive time steps
+    epochs: int = 1  # passes over a rollout
+    anneal_iterations: int = 0  # the learning rate falls to 0 over so many; 0: it stays
+    adam_eps: float = 1e-8
 
     def optimizer(self) -> optax.GradientTransformation:
         """Return Adam for the module."""
-        return optax.adam(self.learning_rate)
+        return optax.adam(self.learning_rate, eps=self.adam_eps)
 
 
 class IntrinsicTrainState(NamedTuple):
@@ -114,6 +117,7 @@ def train_module(
     key: PRNGKeyArray,
     apart: bool = True,
     shard_rows: ShardRows = identity,
+    rate: Float[Array, ""] | None = None,
 ) -> tuple[IntrinsicTrainState, Metrics]:
     """Take one optimizer step of an intrinsic module on each of M minibatches.
 
@@ -125,6 +129,7 @@ def train_module(
       key: of the module's draws.
       apart: False: the rows of a minibatch follow each other, and share their frames.
       shard_rows: see `make_train_step`.
+      rate: a factor of the learning rate; None: 1.
 
     Returns:
       The module after, and the means of its metrics over minibatches.
@@ -151,7 +156,7 @@ def train_module(
         def step(carry: IntrinsicTrainState) -> IntrinsicTrainState:
             params, optimizer_state, module_state = carry
             trained = (params, optimizer_state)
-            params, optimizer_state = optimizer_step(optimizer, gradient, trained)
+            params, optimizer_state = optimizer_step(optimizer, gradient, rate, trained)
             return IntrinsicTrainState(params, optimizer_state, module.update(params, module_state))
 
         return step_with_rows(step, carry, batch.valid), metrics

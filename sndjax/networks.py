@@ -1,11 +1,11 @@
-"""The networks of the thesis (Fig. 5.3): encoders and the actor-critic.
+"""The layers and encoders of the thesis' networks (Fig. 5.3).
 
 Weights are orthogonal with the gains of the published experiments, biases zero.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -13,84 +13,12 @@ import jax.numpy as jnp
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
-from sndjax.checks import SIDE, check_images
-from sndjax.convolution import ACTIVATIONS, Activation, Convolution, convolve, to_float
+from sndjax.activations import ACTIVATIONS, Activation
+from sndjax.checks import check_images
+from sndjax.convolution import Convolution, convolve, to_float
 from sndjax.types import Params
 
 ROOT_2 = math.sqrt(2.0)
-
-
-class Architecture(NamedTuple):
-    """The sizes of every network for one kind of input: a column of the network table.
-
-    With no `channels` the networks are multi-layer perceptrons of two `hidden` layers.
-    """
-
-    channels: tuple[int, ...] = (32, 64, 64)  # the three strided convolutions
-    last: int = 128  # the fourth, of the policy's torso and of targets
-    last_predictor: int = 128  # the fourth, of predictors of a VICReg target
-    rnd_channels: tuple[int, ...] = (32, 64, 64)
-    snd_v_channels: tuple[int, ...] = (16, 32, 64)
-    features: int = 512  # d, and the width of every linear layer
-    hidden: tuple[int, ...] = (64, 64)
-    patch: int = 0  # kernel side and stride of the first layer; 0: the thesis' 3x3, stride 2
-
-    def convolutions(self, last: int) -> tuple[Convolution, ...]:
-        """Return the convolutions of the thesis: three of stride 2, then one of stride 1.
-
-        Args:
-          last: channels of the fourth.
-        """
-        if not self.channels:
-            return ()
-        layers = [Convolution(c, stride=2) for c in self.channels]
-        if self.patch:
-            layers[0] = Convolution(self.channels[0], self.patch, self.patch, padding=0)
-        return (*layers, Convolution(last))
-
-    def snd_v_convolutions(self) -> tuple[Convolution, ...]:
-        """Return SND-V's convolutions: fewer channels, and the last as many as the third."""
-        narrow = self._replace(channels=self.snd_v_channels if self.channels else ())
-        return narrow.convolutions(self.snd_v_channels[-1])
-
-    def rnd_convolutions(self) -> tuple[Convolution, ...]:
-        """Return the convolutions of RND; with a patch layer, those of the other networks."""
-        if self.patch or not self.channels:
-            return self.convolutions(self.last)
-        first, second, third = self.rnd_channels
-        return (Convolution(first, 8, 4, 2), Convolution(second, stride=2), Convolution(third))
-
-
-ATARI = Architecture()
-PROCGEN = Architecture(last=64)
-# Ours, for two cores: 64x64 pixels become 16x16, 8x8 and 4x4 maps of a few channels.
-SMALL = Architecture(
-    channels=(16, 32, 32),
-    last=32,
-    last_predictor=32,
-    snd_v_channels=(16, 32, 32),
-    features=128,
-    patch=4,
-)
-VECTOR = Architecture(channels=(), features=64)
-
-
-def size_for(shape: tuple[int, ...], small: bool = False) -> Architecture:
-    """Return the sizes of networks for frames of a shape.
-
-    Images [H, W, C] of 32x32 and more get convolutions: the thesis' for Procgen where C = 3, those
-    for Atari elsewhere. Everything else is a vector.
-
-    Args:
-      shape: of a frame.
-      small: images get our networks for a few cores.
-
-    >>> size_for((4,)) == size_for((10, 10, 4)) == VECTOR, size_for((84, 84, 4)) == ATARI
-    (True, True)
-    """
-    if len(shape) != 3 or min(shape[:2]) < SIDE:
-        return VECTOR
-    return SMALL if small else PROCGEN if shape[-1] == 3 else ATARI
 
 
 def match_dtype(tree: Any, params: Params) -> Any:
@@ -136,8 +64,15 @@ def linear(features: int, gain: float, name: str | None = None) -> nn.Dense:
     return nn.Dense(features, kernel_init=orthogonal(gain), name=name)
 
 
+def normalize(x: Float[Array, "B n"], layer_norm: bool) -> Float[Array, "B n"]:
+    """Return the output of a linear layer, with layer normalisation if there is any."""
+    return nn.LayerNorm()(x) if layer_norm else x
+
+
 class Torso(nn.Module):
     """Convolutions (pixels) or hidden layers (vectors), each with its activation.
+
+    Layer normalisation is that of hidden layers; convolutions have none.
 
     Returns the flattened output and the third layer's map (the last hidden layer's,
     `[B, 1, 1, C]`, for vectors).
@@ -147,13 +82,15 @@ class Torso(nn.Module):
     hidden: Sequence[int]
     gain: float
     activation: Activation
+    layer_norm: bool = False
 
     @nn.compact
     def __call__(self, x: Shaped[Array, "B *frame"]) -> tuple[Float[Array, "B f"], Array]:
         if not self.convolutions:
             x = to_float(x).reshape(x.shape[0], -1)
             for width in self.hidden:
-                x = ACTIVATIONS[self.activation](linear(width, self.gain)(x))
+                x = normalize(linear(width, self.gain)(x), self.layer_norm)
+                x = ACTIVATIONS[self.activation](x)
             return x, x[:, None, None, :]
         check_images(x)
         weights, channels = [], x.shape[-1]
@@ -186,6 +123,7 @@ class Encoder(nn.Module):
     activation: Activation = "elu"  # after convolutions and hidden layers
     extra_activation: Activation = "elu"  # between the linear layers
     num_actions: int = 0
+    layer_norm: bool = False  # before every activation but those of convolutions
 
     @property
     def description(self) -> str:
@@ -197,13 +135,16 @@ class Encoder(nn.Module):
     def __call__(
         self, frames: Shaped[Array, "B *frame"], action: Int[Array, " B"] | None = None
     ) -> tuple[Float[Array, "B d"], Float[Array, "B I J C"]]:
-        x, local = Torso(self.convolutions, self.hidden, self.gain, self.activation)(frames)
+        x, local = Torso(
+            self.convolutions, self.hidden, self.gain, self.activation, self.layer_norm
+        )(frames)
         if self.num_actions:
             assert action is not None, "this encoder takes the action as input"
             x = jnp.concatenate([x, jax.nn.one_hot(action, self.num_actions, dtype=x.dtype)], -1)
         z = linear(self.features, self.gain)(x)
         for _ in range(self.extra):
-            z = linear(self.features, self.gain)(ACTIVATIONS[self.extra_activation](z))
+            z = ACTIVATIONS[self.extra_activation](normalize(z, self.layer_norm))
+            z = linear(self.features, self.gain)(z)
         return z, local
 
 
@@ -237,46 +178,3 @@ def mlp_widths(params: Params) -> tuple[int, ...]:
     layers = params["params"]
     kernels = [layers[mlp_layer(i)]["kernel"] for i in range(len(layers))]
     return (kernels[0].shape[-2], *(kernel.shape[-1] for kernel in kernels))
-
-
-class ActorCritic(nn.Module):
-    """The policy and its value heads on one torso (Fig. 5.3a).
-
-    Maps stacked frames `[B, H, W, C * S]` (or vectors `[B, D]`) to
-    `(logits float32[B, A], value float32[B, K])`. With one head (the baseline) the
-    critic stands behind an extra ReLU, as in the published experiments. The torso's features are
-    sown as the intermediate "torso", see `torso_features`.
-    """
-
-    architecture: Architecture
-    num_actions: int
-    value_heads: int = 2
-
-    @nn.compact
-    def __call__(
-        self, stacked: Shaped[Array, "B *stack"]
-    ) -> tuple[Float[Array, "B A"], Float[Array, "B K"]]:
-        size = self.architecture
-        x, _ = Torso(size.convolutions(size.last), size.hidden, ROOT_2, "relu")(stacked)
-        x = linear(size.features, ROOT_2)(x)
-        self.sow("intermediates", "torso", x)
-        actor = jax.nn.relu(linear(size.features, 0.01)(jax.nn.relu(x)))
-        logits = linear(self.num_actions, 0.01)(actor)
-        critic = jax.nn.relu(x) if self.value_heads == 1 else x
-        critic = jax.nn.relu(linear(size.features, 0.1)(critic))
-        heads = [linear(1, 0.01)(critic) for _ in range(self.value_heads)]
-        return logits, jnp.concatenate(heads, axis=-1)
-
-
-def torso_features(
-    network: ActorCritic, params: Params, stacked: Shaped[Array, "B *stack"]
-) -> Float[Array, "B d"]:
-    """Return what the policy's torso makes of stacks: the output of its linear layer.
-
-    Args:
-      network: the policy.
-      params: its weights.
-      stacked: frames of a stack on the last axis.
-    """
-    _, found = network.apply(params, stacked, mutable=["intermediates"])
-    return found["intermediates"]["torso"][0]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.algorithms import make_named
+from sndjax.architectures import size_for
 from sndjax.autoreset import (
     count_resets_as_next,
     from_autoreset,
@@ -33,7 +34,6 @@ from sndjax.intrinsic_training import (
     train_module,
 )
 from sndjax.loop_checks import LoopShapes, check_batch, check_example, check_steps
-from sndjax.networks import size_for
 from sndjax.preprocessing import standardize
 from sndjax.rollout import minibatch_rows
 from sndjax.statistics import (
@@ -85,7 +85,7 @@ def bonus(
     shapes = check_example(example, num_actions)
     check_choice("preset", preset, tuple(PRESETS))
     check_settings(settings)
-    size = size_for(shapes.frame, small=preset == "small")
+    size = size_for(shapes.frame, "small" if preset == "small" else "thesis")
     if isinstance(name, str):
         objective, cell, signal = name.partition("+")
         module = (

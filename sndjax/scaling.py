@@ -1,12 +1,18 @@
-"""From a novelty signal to the reward that the agent gets for it."""
+"""The scales of rewards: from a novelty signal to the agent's reward, and of external rewards."""
 
 from typing import Literal
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from sndjax.statistics import std, update_return_statistics
-from sndjax.types import ReturnStatistics
+from sndjax.statistics import (
+    batch_statistics,
+    merge_statistics,
+    std,
+    update_return_statistics,
+)
+from sndjax.types import ReturnStatistics, RunningStatistics
 
 RewardScale = Literal["none", "running_std"]
 
@@ -46,3 +52,44 @@ def scale_reward(
         return eta * signal / std(scale.moments), jnp.zeros_like(signal), scale
     reward = eta * signal
     return jnp.clip(reward, 0.0, 1.0), (reward > 1).astype(reward.dtype), scale
+
+
+def normalize_rewards(
+    reward: Float[Array, "T N"],
+    terminated: Bool[Array, "T N"],
+    valid: Bool[Array, "T N"],
+    scale: ReturnStatistics,
+    discount: float,
+) -> tuple[Float[Array, "T N"], ReturnStatistics]:
+    """Divide external rewards by the deviation of their discounted sum, as gymnasium's wrapper.
+
+    For every step of all environments, `gymnasium.wrappers.vector.NormalizeReward`::
+
+        R_t = discount * R_t-1 * (1 - terminated_t) + r_t
+        r_t' = r_t / sqrt(variance of all R so far, this step's included, + 1e-8)
+
+    Reset rows are skipped, as the wrapper skips them.
+
+    Args:
+      reward: r_t.
+      terminated: the task ended the episode with this row; a step limit does not count.
+      valid: False on reset rows.
+      scale: the statistics so far, at first `init_unit_statistics(())` and a sum of 0.
+      discount: gamma.
+
+    Returns:
+      The normalised rewards, and the statistics after them.
+    """
+
+    def step(
+        carry: tuple[RunningStatistics, Array], row: tuple[Array, Array, Array]
+    ) -> tuple[tuple[RunningStatistics, Array], Array]:
+        moments, total = carry
+        reward, terminated, valid = row
+        total = jnp.where(valid, total * discount * (1 - terminated) + reward, total)
+        moments = merge_statistics(moments, batch_statistics(total, valid))
+        return (moments, total), reward / jnp.sqrt(moments.m2 / moments.samples + 1e-8)
+
+    rows = (reward, terminated.astype(reward.dtype), valid)
+    (moments, total), scaled = lax.scan(step, (scale.moments, scale.discounted), rows)
+    return scaled, ReturnStatistics(moments, total)

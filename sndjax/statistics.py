@@ -67,6 +67,15 @@ def init_running_statistics(shape: tuple[int, ...]) -> RunningStatistics:
     return RunningStatistics(zero(()), zero(shape), zero(shape))
 
 
+def init_unit_statistics(shape: tuple[int, ...]) -> RunningStatistics:
+    """Return statistics that begin with mean 0 and variance 1, as gymnasium's `RunningMeanStd`.
+
+    They weigh as much as 1e-4 of a sample.
+    """
+    few = jnp.float32(1e-4)
+    return RunningStatistics(few, jnp.zeros(shape, jnp.float32), jnp.full(shape, few))
+
+
 def merge_statistics(a: RunningStatistics, b: RunningStatistics) -> RunningStatistics:
     """Merge the statistics of two sets of samples (Chan, Golub and LeVeque, 1979)."""
     count = a.samples + b.samples

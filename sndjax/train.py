@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from sndjax import ppo
-from sndjax.acting import AgentSpec, scale_vectors
+from sndjax.acting import AgentSpec, scale_observations
 from sndjax.intrinsic_training import IntrinsicTrainState, read_rewards, reward_metrics
 from sndjax.networks import match_dtype
 from sndjax.optimizer_steps import ShardRows, identity
@@ -18,13 +18,15 @@ from sndjax.rollout import (
     stack_to_channels,
     zero_reset_rows,
 )
+from sndjax.scaling import normalize_rewards
 from sndjax.side_by_side import run_side_by_side
 from sndjax.statistics import (
     init_return_statistics,
     init_running_statistics,
+    init_unit_statistics,
     update_running_statistics,
 )
-from sndjax.types import Experience, Metrics, TrainState
+from sndjax.types import Experience, Metrics, ReturnStatistics, RunningStatistics, TrainState
 from sndjax.updates import update_intrinsic_module, update_policy
 from sndjax.vmap_hint import hint_under_vmap
 
@@ -53,10 +55,36 @@ def init_train_state(
         intrinsic_optimizer=intrinsic_optimizer.init(intrinsic),
         intrinsic_state=intrinsic_state,
         reward_scale=init_return_statistics(example.shape[0]),
-        observations=init_running_statistics(example.shape[1:] if any(agent.unbounded) else ()),
+        observations=init_observation_statistics(agent, example),
+        ext_returns=(
+            ReturnStatistics(init_unit_statistics(()), jnp.zeros(example.shape[0], jnp.float32))
+            if agent.ppo.normalize_rewards
+            else None
+        ),
         key=key,
         iteration=jnp.zeros((), jnp.int32),
     )
+
+
+def init_observation_statistics(
+    agent: AgentSpec, example: Shaped[Array, "N *frame"]
+) -> RunningStatistics:
+    """Return the statistics of vector observations before any; empty where nothing reads them.
+
+    Args:
+      agent: what learns.
+      example: frames of all N environments.
+
+    Raises:
+      ValueError: pixels are to be normalised.
+    """
+    if agent.ppo.normalize_observations:
+        if not jnp.issubdtype(example.dtype, jnp.floating):
+            raise ValueError(
+                f"normalize_observations is for vectors of floats, not {example.dtype}"
+            )
+        return init_unit_statistics(example.shape[1:])
+    return init_running_statistics(example.shape[1:] if any(agent.unbounded) else ())
 
 
 def compute_intrinsic_rewards(
@@ -87,6 +115,28 @@ def compute_intrinsic_rewards(
     )
     state = state._replace(intrinsic_state=read.intrinsic_state, reward_scale=read.reward_scale)
     return state, read.reward, read.metrics
+
+
+def normalize_external(
+    agent: AgentSpec, batch: Experience, state: TrainState
+) -> tuple[Experience, TrainState]:
+    """Return the rollout with normalised external rewards, and the state with their statistics.
+
+    Args:
+      agent: what learns.
+      batch: the rollout.
+      state: before.
+    """
+    rollout = batch.rollout
+    assert state.ext_returns is not None
+    reward, ext_returns = normalize_rewards(
+        batch.reward,
+        rollout.done & ~batch.truncated,
+        rollout.valid,
+        state.ext_returns,
+        agent.ppo.gamma_ext,
+    )
+    return batch._replace(reward=reward), state._replace(ext_returns=ext_returns)
 
 
 def make_train_step(
@@ -124,7 +174,7 @@ def make_train_step(
     ) -> tuple[TrainState, Metrics, Float[Array, "T N"]]:
         batch = zero_reset_rows(match_dtype(batch, state.policy))
         raw, valid = batch.rollout.frames, batch.rollout.valid
-        scale = lambda x: scale_vectors(x, state.observations, agent.unbounded)
+        scale = lambda x: scale_observations(agent, x, state.observations)
         batch = batch._replace(
             history=scale(batch.history), rollout=batch.rollout._replace(frames=scale(raw))
         )
@@ -133,6 +183,8 @@ def make_train_step(
             jax.random.fold_in(state.key, 0), 4
         )
         state, int_reward, metrics = compute_intrinsic_rewards(agent, state, batch, key_reward)
+        if agent.ppo.normalize_rewards:
+            batch, state = normalize_external(agent, batch, state)
         advantage, target = ppo.compute_advantages(agent.ppo, batch, int_reward)
         learn_policy = lambda: update_policy(
             agent, state, batch, advantage, target, key_policy, shard_rows
@@ -145,7 +197,7 @@ def make_train_step(
         )
         state = state._replace(**policy._asdict(), **module._asdict())
         metrics |= policy_terms | module_terms
-        if any(agent.unbounded):
+        if any(agent.unbounded) or agent.ppo.normalize_observations:
             moments = update_running_statistics(state.observations, raw[:-1], valid)
             state = state._replace(observations=moments)
         iteration = hint_under_vmap(state.iteration) + 1

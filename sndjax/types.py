@@ -41,6 +41,7 @@ class Experience(NamedTuple):
     truncated: Bool[Array, "T N"]  # done by a step limit alone; False where the game ended too
     log_prob: Float[Array, "T N"]  # of `action`, when it was chosen
     value: Float[Array, "T+1 N K"]  # external first, intrinsic second
+    hidden: Float[Array, "N d"] | None = None  # a recurrent policy's state before the rollout
 
 
 class Transition(NamedTuple):
@@ -151,5 +152,6 @@ class TrainState(NamedTuple):
     intrinsic_state: State
     reward_scale: ReturnStatistics
     observations: RunningStatistics  # of vector observations; empty for pixels
+    ext_returns: ReturnStatistics | None  # of external rewards; None: they are not normalised
     key: PRNGKeyArray
     iteration: Int[Array, ""]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sndjax import convolution
-from sndjax.convolution import ACTIVATIONS, Convolution, convolve, convolve_native
+from sndjax.activations import ACTIVATIONS
+from sndjax.convolution import Convolution, convolve, convolve_native
 
 LAYERS = {
     "stride 2": (Convolution(4, stride=2),),

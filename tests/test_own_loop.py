@@ -11,9 +11,9 @@ from helpers.rollouts import KINDS, episodes, frames
 
 import sndjax
 from sndjax import bonus, from_autoreset, make_module
+from sndjax.architectures import size_for
 from sndjax.bonus_record import BonusChanges
 from sndjax.grid import SIGNALS
-from sndjax.networks import size_for
 from sndjax.rollout import gather_rows, minibatch_rows
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

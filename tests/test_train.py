@@ -242,8 +242,8 @@ def test_act_samples_the_policy_and_executes_given_share_of_random_actions():
     actor = sndjax.Actor(state.policy, state.observations, state.key)
     act = jax.jit(functools.partial(sndjax.act, agent))
     frame = jnp.zeros((4000, *kind.shape))
-    window, first = frame[None], jnp.ones(4000, bool)
-    decision, _ = act(actor, window, frame, first, 0)
+    memory, first = sndjax.ActorMemory(frame[None]), jnp.ones(4000, bool)
+    decision, _ = act(actor, memory, frame, first, 0)
     logits, value = agent.network.apply(state.policy, frame)
     wanted = jax.nn.log_softmax(logits)
     np.testing.assert_allclose(
@@ -254,9 +254,9 @@ def test_act_samples_the_policy_and_executes_given_share_of_random_actions():
     np.testing.assert_allclose(shares, np.exp(wanted[0]), atol=0.03)
     # A random action differs from the chosen one two times out of three.
     assert abs(np.mean(decision.action != decision.executed) - 0.25 * 2 / 3) < 0.03
-    again, _ = act(actor, window, frame, first, 0)
+    again, _ = act(actor, memory, frame, first, 0)
     np.testing.assert_array_equal(decision.action, again.action)
-    other, _ = act(actor, window, frame, first, 1)
+    other, _ = act(actor, memory, frame, first, 1)
     assert np.any(decision.action != other.action)
 
 

@@ -53,7 +53,7 @@ agent = sndjax.AgentSpec(
 state = sndjax.init_train_state(agent, jax.random.key(0), frames[0])
 after = jax.jit(sndjax.make_train_step(agent))(state, batch)
 actor = sndjax.Actor(state.policy, state.observations, state.key)
-acted, _ = sndjax.act(agent, actor, frames[:1], frames[0], jnp.ones(4, bool), 0)
+acted, _ = sndjax.act(agent, actor, sndjax.ActorMemory(frames[:1]), frames[0], jnp.ones(4, bool), 0)
 check(("train_step", "act"), (after, acted))
 """
 

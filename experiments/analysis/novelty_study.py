@@ -76,8 +76,8 @@ def make_study_steps(name: str) -> tuple[Callable[..., StudyState], Callable[...
       key) -> the state after a training step on each rollout, and the signal of the window. The
       input statistics do not include the window, because most of it is in the future.
     """
-    algo = load_config(["env=MontezumaRevenge", f"algo={name}"]).algo
-    intrinsic = make_intrinsic_config(algo, len(ACTION_LETTERS), sndjax.ATARI)
+    config = load_config(["env=MontezumaRevenge", f"algo={name}"])
+    intrinsic = make_intrinsic_config(config, len(ACTION_LETTERS), sndjax.ATARI)
     assert intrinsic is not None
     module, optimizer = intrinsic.module, optax.adam(intrinsic.learning_rate)
 

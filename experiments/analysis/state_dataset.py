@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sndjax.acting import scale_vectors
-from sndjax.networks import torso_features
+from sndjax.acting import scale_observations
+from sndjax.actor_critic import torso_features
 from sndjax.rollout import stack_to_channels
 
 from ..evaluation.players import Player, cut_message, play_episodes
@@ -115,7 +115,7 @@ def policy_torso_features(player: Player, states: States) -> np.ndarray:
 
     @jax.jit
     def apply(stacked: jax.Array) -> jax.Array:
-        seen = scale_vectors(stacked, player.state.observations, player.agent.unbounded)
+        seen = scale_observations(player.agent, stacked, player.state.observations)
         seen = stack_to_channels(jnp.moveaxis(seen, 1, 0))
         return torso_features(player.agent.network, player.state.policy, seen)
 

@@ -44,10 +44,9 @@ def load_dump(dump: Path, config: Config) -> tuple[Experiment, TrainState, Exper
       ConfigError: the dump is damaged.
     """
     experiment = build_experiment(config, probe=True)
-    heads = experiment.agent.network.value_heads
     like = {
         "state": unwrapped_shapes(experiment.state_shapes()),
-        "batch": experience_spec(config, experiment.pool, heads),
+        "batch": experience_spec(config, experiment.pool, experiment.agent.network),
     }
     try:
         tree, _ = read_tree(dump, like)

@@ -9,9 +9,10 @@ import itertools
 from collections.abc import Sequence
 from math import prod
 
+from sndjax.architectures import Architecture
 from sndjax.convolution import Convolution
 from sndjax.grid import OBJECTIVES, make_encoder_and_predictor
-from sndjax.networks import Architecture, Encoder
+from sndjax.networks import Encoder
 
 TRAINED = 3  # forward 1 and backward 2
 

@@ -57,7 +57,7 @@ def gflop_per_step(module: sndjax.IntrinsicModule | None, kind: str) -> float:
     window = of((agent.stack.size, *newest), jnp.uint8)
     first, step = of((ENVS,), bool), of((), jnp.int32)
     acting = jax.make_jaxpr(partial(sndjax.act, agent))(
-        actor, window, of(newest, jnp.uint8), first, step
+        actor, sndjax.ActorMemory(window), of(newest, jnp.uint8), first, step
     )
     count = count_flops(update.jaxpr) / (STEPS * ENVS) + count_flops(acting.jaxpr) / ENVS
     return count / 1e9

@@ -24,6 +24,7 @@ from ..system.process import enable_compilation_cache
 from ..system.versions import versions
 from ..training.agents import map_over_seeds
 from ..training.experiment import build_experiment
+from ..training.rollouts import init_hidden
 from ..training.scan_collector import ScanCollector
 from .analytic_flops import flops_per_step
 from .phase_table import phase_table
@@ -112,6 +113,7 @@ class PhaseBenchmark:
         actions = draw.integers(0, pool.num_actions, (steps, *rows), np.int32)
         frame, actor = pool.reset(), self.actor()
         window = np.zeros((rows[0], config.env.stack, *frame.shape[1:]), pool.dtype)
+        memory: Any = sndjax.ActorMemory(window, init_hidden(self.agent.network, *rows))  # type: ignore
         first = np.ones(rows, bool)
 
         def stepping() -> None:
@@ -122,7 +124,7 @@ class PhaseBenchmark:
                     state.pool.receive()
 
         def acting() -> None:
-            kept: Any = window
+            kept = memory
             for t in range(steps):
                 for _ in pool_states:
                     output, kept = self.experiment.act(actor, kept, frame, first, np.int32(t))

@@ -1,5 +1,7 @@
 """Composition of a validated `Config` from the command line, without importing jax."""
 
+from typing import Any
+
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -9,9 +11,11 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
+from .config_checks import validate_config
+from .earlier_options import loss_weights
 from .jax_suites import JAX_SUITES, check_installed
 from .library import algorithm_table
-from .overrides import parse_overrides
+from .overrides import FREE_OPTIONS, parse_argument, parse_overrides
 from .saved import config_schema, innermost_reason, load_repeated, load_resumed, load_resumed_or_new
 from .schema import OBJECTIVES, Config
 from .user_function import split_reference
@@ -21,8 +25,9 @@ from .validation import (
     GROUPS,
     OTHER_SUITES,
     group_choices,
-    validate_config,
 )
+
+FOR = "# for: "  # begins the line of a preset that names its algorithm
 
 
 def load_config(arguments: list[str]) -> Config:
@@ -51,6 +56,9 @@ def compose_config(overrides: dict[str, Override]) -> Config:
     """
     if "algo.module" in overrides:
         overrides.setdefault("algo", OverridesParser.create().parse_override("algo=module"))
+    if "preset" in overrides and "algo" not in overrides:
+        for argument in preset_arguments(str(overrides["preset"].value())):
+            overrides.setdefault(argument.partition("=")[0], parse_argument(argument))
     for group in GROUPS:
         if group not in overrides:
             names = ", ".join(group_choices(group))
@@ -70,22 +78,38 @@ def compose_config(overrides: dict[str, Override]) -> Config:
     return validate_config(config)
 
 
+def preset_arguments(name: str) -> list[str]:
+    """Return the algorithm of a preset, as arguments: the line `# for: ...` in its file.
+
+    >>> preset_arguments("laptop")
+    []
+    """
+    lines = (CONF / "preset" / f"{name}.yaml").read_text().splitlines()
+    return [
+        word for line in lines if line.startswith(FOR) for word in line.removeprefix(FOR).split()
+    ]
+
+
 def register_configs() -> None:
     """Register with Hydra the schema and the configuration of each algorithm in the table."""
     store = ConfigStore.instance()
     store.store(name="schema", node=config_schema())
     for name, row in algorithm_table().items():
-        if row.objective is None:  # configured in conf/algo/ppo.yaml
-            continue
-        node = {
-            "name": name,
-            "objective": row.objective,
-            "signal": row.signal,
-            "eta": f"${{oc.select:env.eta.{name},${{oc.select:env.eta.other,0.5}}}}",
-            "preprocess": row.options.get("preprocess", "none"),
-            "gradient": row.options.get("gradient", "symmetric"),
-        }
-        store.store(group="algo", name=name, node=node)
+        if row.objective is not None:  # the baseline is configured in conf/algo/ppo.yaml
+            store.store(group="algo", name=name, node=algorithm_node(name))
+
+
+def algorithm_node(name: str) -> dict[str, Any]:
+    """Return the configuration of an algorithm in the table, for the group `algo`."""
+    row = algorithm_table()[name]
+    return {
+        "name": name,
+        "objective": row.objective,
+        "signal": row.signal,
+        "eta": f"${{oc.select:env.eta.{name},${{oc.select:env.eta.other,0.5}}}}",
+        "preprocess": row.options.get("preprocess", "none"),
+        **loss_weights(row),
+    }
 
 
 def task_lines(overrides: dict[str, Override]) -> list[str]:
@@ -157,7 +181,7 @@ def check_algorithm(overrides: dict[str, Override]) -> None:
     if (algo == "module") != ("algo.module" in overrides):
         raise ConfigError("algo.module=FILE.py:FUNCTION goes with algo=module, and it with that")
     if algo == "module":
-        for key in ("preprocess", "activation", "pairing", "gradient"):
+        for key in ("preprocess", "pairing", "objective_weight", "signal_weight"):
             if f"algo.{key}" in overrides:
                 raise ConfigError(f"algo.{key}: set it inside the function that algo.module names")
 
@@ -178,7 +202,7 @@ def module_name(reference: str) -> str:
 
 
 def override_line(override: Override) -> str:
-    """Return the override in Hydra's syntax; keys below env.options may be new."""
+    """Return the override in Hydra's syntax; keys of free options may be new."""
     assert override.input_line is not None
     text = override.input_line.lstrip("+")
-    return f"++{text}" if override.key_or_group.startswith("env.options") else text
+    return f"++{text}" if override.key_or_group.startswith(FREE_OPTIONS) else text

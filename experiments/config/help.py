@@ -5,16 +5,9 @@ from dataclasses import MISSING, Field, fields
 from textwrap import dedent
 from typing import Any
 
-from .validation import ALL_GROUPS, config_options, group_choices
+from .validation import config_options
 
-RUN_USAGE = """\
-usage: sndjax env=NAME algo=NAME [key=value ...]     (or sndjax run ...)
-
-Trains PPO with an intrinsic reward, for example:
-  sndjax env=MountainCar algo=snd_vic
-  sndjax env=Venture algo=snd_std num_seeds=3 total_steps=1_000_000
-  sndjax resume=runs/Venture/snd_std/<time>-<id>
-  sndjax -m env=Venture,Gravitar algo=rnd,snd_vic seed=0,9      (a sweep: docs/sweeps.md)"""
+HELP = ("-h", "--help", "help")  # the words that ask for help
 
 
 def default_of(entry: Field[Any]) -> Any:
@@ -66,16 +59,6 @@ def run_option_lines() -> list[str]:
     """Return the help lines of every option of `sndjax run`."""
     head = "options (key=value, with their defaults; env and algo may change them)"
     return [head, *option_lines(config_options(), 34)]
-
-
-def run_help() -> str:
-    """Return the text that `sndjax run --help` prints."""
-    lines = [RUN_USAGE]
-    titles = ("environments", "algorithms", "presets, which may be left out")
-    for group, title in zip(ALL_GROUPS, titles, strict=True):
-        lines += ["", f"{title} ({group}=NAME)"]
-        lines += [f"  {name:<18} {about}" for name, about in group_choices(group).items()]
-    return "\n".join([*lines, "", *run_option_lines()])
 
 
 def tool_help(about: str, kind: Any, takes_run_options: bool = False) -> str:

@@ -5,6 +5,7 @@ import importlib.util
 import sys
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 
@@ -46,20 +47,25 @@ def has_predictor(signal: str) -> bool:
     return "predictor" in constructor_parameters("signals", signal)
 
 
-def has_forward_model(signal: str) -> bool:
-    """Return True if the signal has a forward loss with an option for its encoder gradient."""
-    return "gradient" in constructor_parameters("signals", signal)
-
-
 def has_action_input(algorithm: str) -> bool:
     """Return True if the networks of a named algorithm take the action as input (QRND)."""
     row = algorithm_table().get(algorithm)
     return row is not None and bool(row.options.get("action_input"))
 
 
-@cache
 def algorithm_table() -> dict[str, Any]:
     """Return `sndjax.algorithm_table.ALGORITHMS`: the named algorithms by name."""
+    return load_table().ALGORITHMS
+
+
+def distillation_table() -> dict[str, Any]:
+    """Return `sndjax.algorithm_table.DISTILLATION`: arguments of signals by objective."""
+    return load_table().DISTILLATION
+
+
+@cache
+def load_table() -> ModuleType:
+    """Run the file of the table, which imports nothing but types."""
     path = library_path() / "algorithm_table.py"
     spec = importlib.util.spec_from_file_location("_sndjax_algorithm_table", path)
     assert spec is not None
@@ -67,4 +73,4 @@ def algorithm_table() -> dict[str, Any]:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
-    return module.ALGORITHMS
+    return module

@@ -19,21 +19,26 @@ from .validation import (
     whole_number,
 )
 
-FREE_OPTIONS = "env.options."  # the options below are those of the library that makes the task
+# The options below these are those of a library that makes the task, and of constructors.
+FREE_OPTIONS = ("env.options.", "objective.", "signal.", "module.")
 INSTEAD = {  # what to write where a mapping is wanted
     "env.options": "write env.options.NAME=VALUE for each entry",
     "env.eta": "write algo.eta=VALUE",
+    "objective": "write objective.NAME=VALUE for each entry",
+    "signal": "write signal.NAME=VALUE for each entry",
+    "module": "write module.NAME=VALUE for each entry",
 }
 
 
 @cache
 def option_kinds() -> dict[str, type]:
-    """Return the type of every option by its name: bool, int, float, str or dict."""
+    """Return the type of every option by its name: bool, int, float, str, list or dict."""
     found: dict[str, Any] = {}
     for name, entry in config_options():
         found[name] = get_origin(entry.type) or entry.type
         if name in nullable_options():
-            (found[name],) = set(get_args(entry.type)) - {NoneType}
+            (kind,) = set(get_args(entry.type)) - {NoneType}
+            found[name] = get_origin(kind) or kind
     return found
 
 
@@ -117,6 +122,10 @@ def typed_override(override: Override) -> Override:
         if not isinstance(value, dict):
             raise ConfigError(f"{key}={written}: {INSTEAD[key]}")
         return override
+    if kind is list and isinstance(value, list):
+        return whole_list(key, written, value)
+    if kind is list and value is not None:
+        raise ConfigError(f"{key}={written}: write a list, such as {key}=[{written}]")
     if isinstance(value, list | dict) or (value is None and key not in nullable_options()):
         raise single_value_error(key, written, value)
     if kind is str and isinstance(value, bool | int | float):
@@ -131,6 +140,26 @@ def typed_override(override: Override) -> Override:
         except ValueError:
             raise ConfigError(f"{key}={written}: must be a whole number") from None
     return override
+
+
+def whole_list(key: str, written: str, value: list[Any]) -> Override:
+    """Return the override of an option that takes a list of whole numbers.
+
+    Args:
+      key: the name of the option.
+      written: the value as it was written.
+      value: the value that Hydra read.
+
+    Raises:
+      ConfigError: an entry is no whole number.
+    """
+    try:
+        if any(isinstance(entry, bool) for entry in value):
+            raise ValueError
+        entries = [whole_number(str(entry)) for entry in value]
+    except ValueError:
+        raise ConfigError(f"{key}={written}: must be a list of whole numbers") from None
+    return parse_argument(f"{key}=[{','.join(map(str, entries))}]")
 
 
 def single_value_error(key: str, written: str, value: Any) -> ConfigError:

@@ -15,22 +15,21 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
 from ..system.files import is_file
+from .cell_options import complete_config
 from .command_text import code_options, shell_text
+from .config_checks import validate_config
+from .earlier_options import rename_earlier
+from .run_settings import CHANGEABLE, run_settings
 from .schema import Config
 from .validation import (
     GENERIC_ENVS,
-    GROUPS,
+    NAMED_GROUPS,
     config_options,
-    get_option,
-    validate_config,
     whole_number,
 )
 
 CONFIG = "config.yaml"
 MADE_WITH = "made_with"
-# Options that may change when a run is resumed.
-CHANGEABLE = ["total_steps", "resume", "repeat", "run_dir", "tracker", "group", "distributed"]
-CHANGEABLE += ["iterations_per_call", "cores"]
 
 
 class SavedConfig(NamedTuple):
@@ -98,10 +97,13 @@ def parse_saved(text: str, where: str) -> SavedConfig:
             raise ConfigError(f"{MADE_WITH} is not a list of versions")
         if "${" in str(found):
             raise ConfigError("it holds a reference ('${'); stored values must be literal")
-        config = OmegaConf.to_object(OmegaConf.merge(config_schema(), whole_numbers(found)))
+        found = whole_numbers(rename_earlier(found))
+        config = OmegaConf.to_object(OmegaConf.merge(config_schema(), found))
+        assert isinstance(config, Config)
+        if config.algo.module is None:  # a module's file is not read before it is trusted
+            config = complete_config(config)
     except Exception as error:  # an untrusted file may cause any exception
         raise ConfigError(f"{where} cannot be read: {innermost_reason(error)}") from None
-    assert isinstance(config, Config)
     return SavedConfig(config, {str(name): str(version) for name, version in made_with.items()})
 
 
@@ -115,8 +117,8 @@ def whole_numbers(found: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     kinds = {name: entry.type for name, entry in config_options()}
     made = dict(found)
     for name, value in found.items():
-        if isinstance(value, dict) and not prefix:
-            made[name] = whole_numbers(value, f"{name}.")
+        if isinstance(value, dict) and f"{prefix}{name}" not in kinds:
+            made[name] = whole_numbers(value, f"{prefix}{name}.")
         elif kinds.get(f"{prefix}{name}") is int and isinstance(value, float | str):
             with suppress(ValueError):  # else it is refused with the name of the option
                 made[name] = whole_number(value if isinstance(value, str) else str(value))
@@ -133,27 +135,6 @@ def read_saved(path: Path) -> SavedConfig:
         return parse_saved(path.read_text(), str(path))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
-
-
-def run_settings(config: Config) -> dict[str, Any]:
-    """Return every option that may not change when a run is resumed, by its dotted name."""
-    names = ["env.name", "algo.name", *(name for name, _ in config_options())]
-    return {name: get_option(config, name) for name in names if name not in CHANGEABLE}
-
-
-def check_settings(config: Config, stored: dict[str, Any]) -> None:
-    """Raise ValueError for the first setting that differs from the stored configuration.
-
-    An option that is newer than the checkpoint counts as stored with its default.
-
-    Raises:
-      ValueError: a setting differs; the message names it with both values.
-    """
-    defaults = {name: entry.default for name, entry in config_options()}
-    for name, now in run_settings(config).items():
-        was = stored.get(name, defaults.get(name))
-        if was != now:
-            raise ValueError(f"{name} was {was}, is {now}")
 
 
 def check_code(stored: Config, overrides: dict[str, Override], what: str) -> None:
@@ -199,7 +180,7 @@ def apply_overrides(stored: Config, overrides: dict[str, Override], what: str) -
         if key == "preset":
             raise ConfigError(f"{what}: a stored run already has its settings; leave preset out")
         was, now = (
-            OmegaConf.select(values, f"{key}.name" if key in GROUPS else key),
+            OmegaConf.select(values, f"{key}.name" if key in NAMED_GROUPS else key),
             override.value(),
         )
         if key == "env" and now in GENERIC_ENVS:

@@ -94,25 +94,20 @@ class AlgoConfig:
     )
     minibatch_size: int = option(512, "rows per gradient step of the intrinsic module", low=2)
     shuffle: bool = option(False, "shuffle the intrinsic module's minibatches")
+    epochs: int = option(1, "passes of the intrinsic module over a rollout", low=1, high=1000)
+    anneal_learning_rate: bool = option(
+        False, "let the module's learning rate fall linearly to 0 over total_steps"
+    )
+    adam_eps: float = option(1e-8, "epsilon of the module's Adam", above=0, high=1)
     preprocess: str = option(
         "none",
         "what is done to frames before the intrinsic module",
         choices=("none", "mean", "standardize"),
     )
-    activation: str = option(
-        "elu",
-        "activation of the module; published: as in each method's experiments, mostly ReLU",
-        choices=("elu", "relu", "published"),
-    )
     pairing: str = option(
         "asymmetric",
         "how predictor and target differ, for signals with a predictor (Fig. 5.4)",
         choices=("asymmetric", "one_linear", "two_linear", "relu"),
-    )
-    gradient: str = option(
-        "symmetric",
-        "gradient of the forward loss into the encoder: through s_t and s_t+1, only s_t, or none",
-        choices=("symmetric", "detached", "asymmetric"),
     )
     objective: str = option(
         "none", "the loss that trains the encoder (algo=grid)", choices=OBJECTIVES
@@ -120,6 +115,8 @@ class AlgoConfig:
     signal: str = option(
         "distillation", "how novelty is computed from the encoder (algo=grid)", choices=SIGNALS
     )
+    objective_weight: float = option(1.0, "weight of the objective's loss", low=0)
+    signal_weight: float = option(1.0, "weight of the signal's loss", low=0)
     module: str | None = option(None, "a bonus of your own, FILE.py:FUNCTION")
 
 
@@ -139,12 +136,20 @@ class PPOConfig:
     max_grad_norm: float = option(
         0.5, "largest gradient norm; larger gradients are scaled down", above=0
     )
-    ext_weight: float = option(
-        2.0, "weight of the external advantage; 0: intrinsic reward only", low=0
+    ext_weight: float | None = option(
+        None,
+        "weight of the external advantage, or with combine=sum of the external reward; "
+        "0: intrinsic reward only; default: 2 with combine=streams, else 1",
+        low=0,
     )
-    int_weight: float = option(1.0, "weight of the intrinsic advantage", low=0)
-    normalize_advantages: bool = option(
-        False, "normalise advantages to mean 0 and std 1 over a rollout"
+    int_weight: float = option(
+        1.0, "weight of the intrinsic advantage, or with combine=sum of the intrinsic reward", low=0
+    )
+    normalize_advantages: bool = option(False, "normalise advantages to mean 0 and std 1")
+    normalize_over: str = option(
+        "rollout",
+        "where advantages are normalised, if they are: before the epochs, or in each minibatch",
+        choices=("rollout", "minibatch"),
     )
     bootstrap_truncated: bool = option(
         False, "bootstrap from the last state of an episode that a step limit ended"
@@ -153,6 +158,65 @@ class PPOConfig:
     published_mask: bool = option(
         False, "use the inverted mask of the published baseline (only algo=ppo)"
     )
+    anneal_learning_rate: bool = option(
+        False, "let the learning rate fall linearly to 0 over total_steps"
+    )
+    adam_eps: float = option(1e-8, "epsilon of Adam", above=0, high=1)
+    value_clip: float | None = option(
+        None, "clipping range of values around those of the rollout; default: none", above=0
+    )
+    clip_int_value: bool = option(True, "value_clip also clips the intrinsic value")
+    target_kl: float | None = option(
+        None, "KL estimate after which no further epoch of the rollout is run", above=0
+    )
+    shuffle_each_epoch: bool = option(
+        False, "shuffle the minibatches of every epoch; false: once for all epochs of a rollout"
+    )
+    normalize_rewards: bool = option(
+        False, "divide external rewards by the deviation of their discounted sum (gymnasium's)"
+    )
+    normalize_observations: bool = option(
+        False, "normalise vectors by running mean and deviation, clipped to 10 (gymnasium's)"
+    )
+    ext_exponent: float = option(
+        0.75, "exponent xi of the external reward with combine=product (eq. 4.32)", low=0, high=1
+    )
+
+
+@dataclass(frozen=True)
+class NetworkSizes:
+    """The sizes of networks; null: those of the named network for this kind of observation."""
+
+    channels: list[int] | None = option(
+        None, "channels of the convolutions of stride 2; []: none, pixels as a vector", low=1
+    )
+    last: int | None = option(None, "channels of the last convolution, of stride 1", low=1)
+    patch: int | None = option(
+        None, "side of the first layer's patches; 0: the thesis' 3x3 with stride 2", low=0
+    )
+    hidden: list[int] | None = option(None, "widths of the hidden layers for vectors", low=1)
+    features: int | None = option(None, "width of the features and of linear layers", low=1)
+    activation: str | None = option(
+        None,
+        "activation; default: relu of the policy, elu of the module; published (of the module): "
+        "as in each method's experiments, mostly ReLU",
+        choices=("elu", "relu", "leaky_relu", "tanh", "published"),
+    )
+    layer_norm: bool | None = option(
+        None, "layer normalisation before the activations of hidden and linear layers"
+    )
+
+
+@dataclass(frozen=True)
+class NetworkConfig(NetworkSizes):
+    """The options of networks: of all, and of the policy's or the module's alone."""
+
+    name: str = option("thesis", "the named network")
+    memory: str = option(
+        "none", "recurrent cell between the policy's torso and its heads", choices=("none", "gru")
+    )
+    policy: NetworkSizes = field(default_factory=NetworkSizes)
+    module: NetworkSizes = field(default_factory=NetworkSizes)
 
 
 @dataclass(frozen=True)
@@ -162,10 +226,19 @@ class Config:
     env: EnvConfig = field(default_factory=EnvConfig)
     algo: AlgoConfig = field(default_factory=AlgoConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    network: str = option(
-        "thesis",
-        "network for pixels: the thesis' one, or a small one for two cores",
-        choices=("thesis", "small"),
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    objective: dict[str, Any] = option(
+        {}, "arguments of the objective's constructor (--help objective=NAME)"
+    )
+    signal: dict[str, Any] = option(
+        {}, "arguments of the signal's constructor (--help signal=NAME)"
+    )
+    module: dict[str, Any] = option({}, "arguments of your function (--help algo.module=...)")
+    combine: str = option(
+        "streams",
+        "external and intrinsic reward: two streams with two values (the thesis), their sum "
+        "(eq. 4.1) or their product (eq. 4.32) with one",
+        choices=("streams", "sum", "product"),
     )
     seed: int = option(0, "the first seed", low=0, high=2**31 - 1)
     num_seeds: int = option(1, "agents trained side by side: seed, seed + 1, ...", low=1, high=1024)

@@ -14,6 +14,7 @@ from ..system.jax_settings import jax_problem
 from ..system.process import configure_xla
 from .compose import load_config
 from .help import default_of, tool_help
+from .key_value import to_key_value
 from .saved import CONFIG
 from .schema import Config
 from .validation import check_range, unknown_name_error, whole_number
@@ -190,6 +191,7 @@ def run_config_command(
 
     def parsed_body() -> None:
         own, others = split_arguments(arguments, kind)
+        others = to_key_value(others)
         options = parse_arguments(own, kind)[1]
         body(load_config([*preset, *others]), options)
 

@@ -1,4 +1,4 @@
-"""Validation of a configuration: the names that exist, and the range of every field."""
+"""The names that a configuration may use, and the range of a value."""
 
 import difflib
 import math
@@ -10,13 +10,14 @@ from typing import Any
 
 from ..system.errors import ConfigError
 from .jax_suites import JAX_SUITES
-from .library import algorithm_table, has_forward_model, has_predictor
+from .library import algorithm_table
 from .other_names import other_name_hint
 from .schema import Config
 
 CONF = Path(__file__).parents[1] / "conf"
 GROUPS = ("env", "algo")  # every run names one choice of each
-ALL_GROUPS = (*GROUPS, "preset")
+NAMED_GROUPS = (*GROUPS, "network")  # each has a `name` in the configuration
+ALL_GROUPS = (*NAMED_GROUPS, "preset")
 GENERIC_ENVS = {  # environments whose task is given by env.id=, with an example
     "envpool": "Pong-v5",
     "gymnasium": "CartPole-v1",
@@ -102,89 +103,6 @@ def get_option(config: Config, name: str) -> Any:
     for part in name.split("."):
         value = getattr(value, part)
     return value
-
-
-def validate_config(config: Any) -> Config:
-    """Check every field, every size and their combination, and return the configuration.
-
-    Raises:
-      ConfigError: a value or a combination is not allowed; the message names the first.
-    """
-    for name, entry in config_options():
-        value = get_option(config, name)
-        if isinstance(value, dict):
-            for key, one in value.items():
-                check_range(f"{name}.{key}", one, entry.metadata)
-        else:
-            check_range(name, value, entry.metadata)
-    check_algorithm_name(config)
-    check_minibatches(config)
-    check_rewards(config)
-    if config.algo.pairing != "asymmetric" and not has_predictor(config.algo.signal):
-        raise ConfigError(f"algo.pairing: algo={config.algo.name} has no predictor network")
-    if config.algo.gradient != "symmetric" and not has_forward_model(config.algo.signal):
-        raise ConfigError(f"algo.gradient: algo={config.algo.name} has no forward loss")
-    if config.seed + config.num_seeds > 2**31:
-        raise ConfigError(f"seed={config.seed}: the last seed must be below 2**31")
-    return config
-
-
-def check_algorithm_name(config: Config) -> None:
-    """Check that the algorithm exists and has the objective and the signal of its name.
-
-    Raises:
-      ConfigError: the algorithm is unknown, or its objective or its signal is another one.
-    """
-    algo = config.algo
-    if algo.module is None and algo.name not in group_choices("algo"):
-        raise unknown_name_error("algo", algo.name, group_choices("algo"))
-    row = algorithm_table().get(algo.name) if algo.module is None else None
-    if row is None or row.objective is None:
-        return
-    for what in ("objective", "signal"):
-        given, own = getattr(algo, what), getattr(row, what)
-        if given != own:
-            raise ConfigError(
-                f"algo.{what}={given}: algo={algo.name} is {own}; "
-                "write algo=grid for another combination"
-            )
-
-
-def check_minibatches(config: Config) -> None:
-    """Check that the minibatch sizes divide the rollout.
-
-    Raises:
-      ConfigError: a minibatch size does not divide the rollout.
-    """
-    for name in ("ppo", "algo") if config.algo.name != "ppo" else ("ppo",):
-        size = getattr(config, name).minibatch_size
-        if config.rows % size:
-            raise ConfigError(
-                f"{name}.minibatch_size={size} does not divide the rollout, num_envs="
-                f"{config.num_envs} x rollout_length={config.rollout_length} = {config.rows} rows"
-            )
-
-
-def check_rewards(config: Config) -> None:
-    """Check that there is a reward to learn from, and no option for a missing reward.
-
-    Raises:
-      ConfigError: all rewards have weight 0, or an option does not fit the algorithm.
-    """
-    if config.algo.name == "ppo":
-        if config.algo.eta != 0:
-            raise ConfigError("algo.eta: algo=ppo has no intrinsic reward to scale")
-        if config.ppo.ext_weight == 0:
-            raise ConfigError(
-                "ppo.ext_weight=0: with algo=ppo there is no other reward; "
-                "choose an intrinsic algorithm"
-            )
-    elif config.ppo.published_mask:
-        raise ConfigError(
-            "ppo.published_mask repeats the published baseline: use it only with algo=ppo"
-        )
-    elif config.ppo.ext_weight == config.ppo.int_weight == 0:
-        raise ConfigError("ppo.ext_weight and ppo.int_weight are both 0: nothing to learn from")
 
 
 def check_range(name: str, value: Any, limits: Any) -> None:

@@ -11,12 +11,11 @@ import numpy as np
 
 import sndjax
 from sndjax import TrainState
-from sndjax.acting import forward, scale_vectors
-from sndjax.rollout import stack_to_channels
+from sndjax.acting import scale_observations
 
+from ..config.config_checks import validate_config
 from ..config.saved import CONFIG, check_code, read_saved
 from ..config.schema import Config
-from ..config.validation import validate_config
 from ..environments.pools import env_seeds, make_pool, make_pool_of, whole_games
 from ..storage.array_trees import CheckpointError
 from ..storage.checkpoints import Checkpoints
@@ -115,7 +114,7 @@ def make_choose(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
       seed: the seed of the sampled actions.
 
     Returns:
-      (window, frame, first, step) -> (action, executed, value, window).
+      (memory, frame, first, step) -> (action, executed, value, memory).
     """
     agent, state = player.agent, player.state
     key = jax.random.fold_in(state.key, seed)
@@ -123,17 +122,10 @@ def make_choose(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
 
     @jax.jit
     def choose(
-        window: jax.Array, frame: jax.Array, first: jax.Array, step: jax.Array
-    ) -> tuple[jax.Array, ...]:
-        output, window = sndjax.act(agent, actor, window, frame, first, step)
-        action, executed = output.action, output.executed
-        if greedy:  # random actions of the environment are kept
-            seen = scale_vectors(window, actor.observations, agent.unbounded)
-            logits, _ = forward(agent.network, actor.policy, stack_to_channels(seen))
-            likeliest = jnp.argmax(logits, axis=-1)
-            executed = jnp.where(executed == action, likeliest, executed)
-            action = likeliest
-        return action, executed, output.value, window
+        memory: sndjax.ActorMemory, frame: jax.Array, first: jax.Array, step: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array, sndjax.ActorMemory]:
+        output, memory = sndjax.act(agent, actor, memory, frame, first, step, greedy)
+        return output.action, output.executed, output.value, memory
 
     return choose
 
@@ -192,14 +184,17 @@ def play_episodes(
     pool = make_pool(env, [seed], episodes)
     choose = make_choose(player, greedy, seed)
     frame, first = pool.reset()[0], np.ones(episodes, bool)
-    window: Any = np.zeros((stack, episodes, *pool.shape), pool.dtype)
+    memory = sndjax.ActorMemory(
+        jnp.zeros((stack, episodes, *pool.shape), pool.dtype),
+        player.agent.network.initial_memory(episodes),
+    )
     limit = step_limit(max_steps, episodes, frame[0].nbytes if keep else 0)
     alive, length = np.ones(episodes, bool), np.zeros(episodes, int)
     frames: list[list[np.ndarray]] = [[one] for one in frame.copy()]
     rows: list[tuple[np.ndarray, ...]] = []
     while alive.any() and len(rows) < limit:
-        decided = choose(window, frame, first, np.int32(len(rows)))
-        window, (action, executed, value) = decided[-1], map(np.asarray, decided[:-1])
+        *decided, memory = choose(memory, frame, first, np.int32(len(rows)))
+        action, executed, value = map(np.asarray, decided)
         step = pool.step(executed[None])
         room = np.zeros(alive.shape, np.uint8) if step.room is None else step.room[0]
         columns = (action, executed, value, step.reward[0], step.score[0], room)
@@ -264,7 +259,7 @@ def episode_novelty(player: Player, episode: PlayedEpisode) -> np.ndarray:
     short = -length % CHUNK  # so that `map_over_time` can take CHUNK frames at once
     column = lambda x, fill: jnp.pad(jnp.asarray(x), (0, short), constant_values=fill)[:, None]
     frames = np.concatenate([episode.frames, episode.frames[-1:].repeat(short, 0)])[:, None]
-    seen = scale_vectors(jnp.asarray(frames), player.state.observations, player.agent.unbounded)
+    seen = scale_observations(player.agent, jnp.asarray(frames), player.state.observations)
     steps = np.arange(length)
     rollout = sndjax.Rollout(
         seen,

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..config.saved import CONFIG, run_settings
+from ..config.config_checks import validate_config
+from ..config.run_settings import run_settings
+from ..config.saved import CONFIG
 from ..config.schema import Config
-from ..config.validation import validate_config
 from ..system.display import ProgressBars
 from ..system.errors import ConfigError
 from .read_configs import ConfigReader
@@ -229,17 +230,29 @@ def group_runs(runs: list[RunData]) -> list[RunGroup]:
     groups = []
     for (env, algo), variants in sorted(kinds.items()):
         parsed = [json.loads(text) for text in variants]
-        differing = sorted(
-            name for name in parsed[0] if any(other[name] != parsed[0][name] for other in parsed)
-        )
+        differing = differing_settings(parsed)
         for own, same in zip(parsed, variants.values(), strict=True):
-            told = " ".join(f"{name.removeprefix('algo.')}={own[name]}" for name in differing)
+            told = " ".join(
+                f"{name.removeprefix('algo.')}={own[name]}" for name in differing if name in own
+            )
             seeds, repeats = split_repeats(
                 [seed for run in same for seed in run.seeds if "step" in seed.metrics]
             )
             name = f"{algo} ({told})" if told else algo
             groups.append(RunGroup(env, algo, name, seeds, same[0].config, repeats))
     return groups
+
+
+def differing_settings(parsed: list[dict[str, Any]]) -> list[str]:
+    """Return the names of settings that have several values, sorted.
+
+    An option of a signal differs only between runs whose signal has it.
+    """
+    values: dict[str, set[str]] = {}
+    for own in parsed:
+        for name, value in own.items():
+            values.setdefault(name, set()).add(json.dumps(value, sort_keys=True))
+    return sorted(name for name, several in values.items() if len(several) > 1)
 
 
 def split_repeats(seeds: list[SeedData]) -> tuple[list[SeedData], list[SeedData]]:

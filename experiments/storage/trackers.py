@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ..config.saved import run_settings
+from ..config.run_settings import run_settings
 from ..config.schema import Config
 from ..system.errors import ConfigError
 from ..system.files import write_atomically

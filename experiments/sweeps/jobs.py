@@ -19,7 +19,8 @@ from hydra.errors import HydraException
 from ..config.command_text import option_text
 from ..config.compose import load_config
 from ..config.overrides import normalize_overrides
-from ..config.saved import CHANGEABLE, CONFIG
+from ..config.run_settings import CHANGEABLE
+from ..config.saved import CONFIG
 from ..config.validation import group_choices, unknown_name_error
 from ..system.display import ProgressBars
 from ..system.errors import ConfigError, one_line

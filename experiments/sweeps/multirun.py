@@ -22,7 +22,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..config.command_text import SWEEP_DIR, option_text, sweep_command
 from ..config.compose import register_configs
-from ..config.saved import CHANGEABLE, innermost_reason
+from ..config.run_settings import CHANGEABLE
+from ..config.saved import innermost_reason
 from ..config.validation import CONF
 from ..reporting.run_report import write_report
 from ..system.errors import ConfigError, print_error
@@ -83,10 +84,9 @@ def default_directory(own: list[str], hydras: list[str]) -> Path:
     """Return the default directory of a sweep, which differs for each command line."""
     named = [a.removeprefix("sweep=") for a in hydras if a.startswith("sweep=")]
     mine = [a for a in own if a.partition("=")[0] not in CHANGEABLE]
-    if named and not mine:
-        return Path("runs/sweeps") / named[0]
     digest = zlib.crc32("\n".join([*named, *mine]).encode())
-    return Path("runs/sweeps") / f"{'-'.join([*named, f'{digest:08x}'])}"
+    words = named[:1] if named and not mine else [*named, f"{digest:08x}"]
+    return Path("runs/sweeps") / "-".join(words)
 
 
 class Sweep(NamedTuple):

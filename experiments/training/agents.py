@@ -7,27 +7,26 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 import sndjax
-from sndjax.acting import scale_vectors
+from sndjax.acting import scale_observations
 from sndjax.algorithms import NAMED
 
-from ..config.library import has_forward_model, has_predictor
-from ..config.schema import AlgoConfig, Config
+from ..config.library import has_predictor
+from ..config.schema import Config
 from ..environments.pool import Pool
-from ..system.errors import ConfigError
+from .network_sizes import module_activation, network_sizes
 from .placement import SINGLE_DEVICE, SingleDevice
 from .user_module import load_module
 
 
 def make_intrinsic_config(
-    algo: AlgoConfig, num_actions: int, size: sndjax.Architecture
+    config: Config, num_actions: int, size: sndjax.Architecture
 ) -> sndjax.IntrinsicConfig | None:
     """Return the intrinsic module of a configuration with its settings; None for the baseline.
 
     Args:
-      algo: the algorithm and its options.
+      config: the configuration, for the algorithm, its constructors' options and the activation.
       num_actions: A, the number of actions of the environment.
       size: the sizes of the networks.
 
@@ -35,16 +34,21 @@ def make_intrinsic_config(
       ConfigError: the user's module cannot be loaded.
       ValueError: the module does not support this environment.
     """
+    algo = config.algo
     if algo.name == "ppo":
         return None
-    own: dict[str, Any] = {"preprocess": algo.preprocess, "activation": algo.activation}
+    own: dict[str, Any] = {
+        "preprocess": algo.preprocess,
+        "activation": module_activation(config),
+        "weights": (algo.objective_weight, algo.signal_weight),
+        "objective_options": config.objective,
+        "signal_options": config.signal,
+    }
     if has_predictor(algo.signal):
         own["pairing"] = algo.pairing
-    if has_forward_model(algo.signal):
-        own["gradient"] = algo.gradient
     if algo.module is not None:
         make = partial(load_module, algo.module)
-        own = {}
+        own = config.module
     elif algo.name == "grid":
         make = partial(sndjax.make_module, algo.objective, algo.signal)
     else:
@@ -56,25 +60,21 @@ def make_intrinsic_config(
         learning_rate=algo.learning_rate,
         minibatch_size=algo.minibatch_size,
         shuffle=algo.shuffle,
+        epochs=algo.epochs,
+        anneal_iterations=config.iterations if algo.anneal_learning_rate else 0,
+        adam_eps=algo.adam_eps,
     )
 
 
-def network_sizes(config: Config, pool: Pool) -> sndjax.Architecture:
-    """Return the network sizes for the frames of a pool.
-
-    Raises:
-      ConfigError: the network is for pixels, and the environment has none.
-    """
-    if pool.dtype != np.uint8:
-        if config.network != "thesis":
-            raise ConfigError(
-                f"network={config.network} (also set by preset=laptop) is for pixels; "
-                f"{config.env.id} has none"
-            )
-        return sndjax.VECTOR
-    if config.network == "small":
-        return sndjax.SMALL
-    return sndjax.ATARI if pool.shape[-1] == 1 else sndjax.PROCGEN
+def make_hyperparameters(config: Config) -> sndjax.Hyperparameters:
+    """Return the settings of PPO, and how rewards are combined."""
+    options = asdict(config.ppo)
+    anneals = options.pop("anneal_learning_rate")
+    return sndjax.Hyperparameters(
+        **options,
+        combine=cast(Any, config.combine),
+        anneal_iterations=config.iterations if anneals else 0,
+    )
 
 
 def build_agent(config: Config, pool: Pool) -> sndjax.AgentSpec:
@@ -84,11 +84,14 @@ def build_agent(config: Config, pool: Pool) -> sndjax.AgentSpec:
       ConfigError: the network does not fit the frames, or the user's module cannot be loaded.
       ValueError: the module does not support this environment.
     """
-    size = network_sizes(config, pool)
-    intrinsic = make_intrinsic_config(config.algo, pool.num_actions, size)
+    intrinsic = make_intrinsic_config(
+        config, pool.num_actions, network_sizes(config, pool, "module")
+    )
+    streams = 2 if intrinsic and config.combine == "streams" else 1
+    size = network_sizes(config, pool, "policy")
     return sndjax.AgentSpec(
-        network=sndjax.ActorCritic(size, pool.num_actions, 2 if intrinsic else 1),
-        ppo=sndjax.Hyperparameters(**asdict(config.ppo)),
+        network=sndjax.ActorCritic(size, pool.num_actions, streams),
+        ppo=make_hyperparameters(config),
         intrinsic=intrinsic,
         stack=sndjax.FrameStack(config.env.stack, config.env.repeat_first),
         unbounded=pool.unbounded,
@@ -109,7 +112,7 @@ def make_encode(agent: sndjax.AgentSpec) -> Callable[..., Any] | None:
 
     @jax.jit
     def encode(state: sndjax.TrainState, frames: jax.Array, action: jax.Array) -> jax.Array:
-        seen = scale_vectors(frames, state.observations, agent.unbounded)
+        seen = scale_observations(agent, frames, state.observations)
         return features(state.intrinsic, state.intrinsic_state, seen, action)
 
     return encode

@@ -81,7 +81,11 @@ class Experiment(NamedTuple):
         if env is None:
             return ()
         start = lambda key: sndjax.init_environments(
-            env, jax.random.fold_in(key, START_STREAM), config.num_envs, config.env.stack
+            env,
+            jax.random.fold_in(key, START_STREAM),
+            config.num_envs,
+            config.env.stack,
+            self.agent.network,
         )
         return jax.jit(map_over_seeds(start, config.num_seeds))(states.key)
 
@@ -101,14 +105,14 @@ class Experiment(NamedTuple):
             live = self.init_environments(self.init_states())
             return ScanCollector(pool, make_jax_collect(pool.environment, agent, config), live)
         if here and isinstance(pool, EnvpoolPool) and pool.dtype != np.uint8:
-            live = first_environments(pool, config.env.stack)
+            live = first_environments(pool, config.env.stack, agent.network)
             return ScanCollector(pool, make_envpool_collect(pool, agent, config), live)
         return Collector(
             pools=self.pools,
             act=self.act,
             stack=self.config.env.stack,
             steps=self.config.rollout_length,
-            heads=self.agent.network.value_heads,
+            network=self.agent.network,
             place=self.placement.put_frames,
         )
 

@@ -16,6 +16,8 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from sndjax import ActorMemory, Experience
+
 from ..config.schema import Config
 from ..system.errors import ConfigError
 
@@ -192,29 +194,33 @@ class DeviceMesh(SingleDevice):
         return self.put(frame, "seeds", "envs")
 
     def compile_act(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        rows, stacks = self.sharding("seeds", "envs"), self.sharding("seeds", None, "envs")
+        rows: Any = self.sharding("seeds", "envs")
+        stacks: Any = self.sharding("seeds", None, "envs")
+        memories = ActorMemory(window=stacks, hidden=rows)
         compiled = jax.jit(
             function,
-            in_shardings=(self.sharding("seeds"), stacks, rows, rows, self.sharding()),
-            out_shardings=(rows, stacks),
+            in_shardings=(self.sharding("seeds"), memories, rows, rows, self.sharding()),
+            out_shardings=(rows, memories),
         )
 
-        def act(actor: Any, window: Any, frame: Any, first: Any, step: Any) -> Any:
-            window = self.put(window, "seeds", None, "envs")
-            frame, first = (self.put(x, "seeds", "envs") for x in (frame, first))
-            output, window = compiled(actor, window, frame, first, step)
+        def act(actor: Any, memory: ActorMemory, frame: Any, first: Any, step: Any) -> Any:
+            window = self.put(memory.window, "seeds", None, "envs")
+            hidden, frame, first = jax.tree.map(
+                lambda x: self.put(x, "seeds", "envs"), (memory.hidden, frame, first)
+            )
+            output, memory = compiled(actor, ActorMemory(window, hidden), frame, first, step)
             local = multihost_utils.global_array_to_host_local_array
             own = local(output, self.mesh, PartitionSpec("seeds", "envs"))
-            return jax.tree.map(np.asarray, own), window
+            return jax.tree.map(np.asarray, own), memory
 
         return act
 
     def compile_train_step(self, function: Callable[..., Any]) -> Any:
-        states, rows = self.sharding("seeds"), self.sharding("seeds", None, "envs")
+        states = self.sharding("seeds")
         return jax.jit(
             function,
             donate_argnums=0,
-            in_shardings=(states, rows),
+            in_shardings=(states, self.batch_shardings()),
             out_shardings=(states, self.sharding(), self.sharding()),
         )
 
@@ -224,11 +230,19 @@ class DeviceMesh(SingleDevice):
             function,
             donate_argnums=0,
             in_shardings=(states, whole),
-            out_shardings=(states, whole, self.sharding("seeds", None, "envs")),
+            out_shardings=(states, whole, self.batch_shardings()),
         )
 
-    def put_batch(self, batch: Any) -> Any:
-        return jax.tree.map(lambda x: self.put(x, "seeds", None, "envs"), batch)
+    def batch_shardings(self) -> Any:
+        """Return the sharding of every field of an `Experience`."""
+        rows = self.sharding("seeds", None, "envs")
+        fields: Any = dict.fromkeys(Experience._fields, rows)
+        return Experience(**fields | {"hidden": self.sharding("seeds", "envs")})
+
+    def put_batch(self, batch: Experience) -> Experience:
+        put = lambda tree, *axes: jax.tree.map(lambda x: self.put(x, *axes), tree)
+        hidden = put(batch.hidden, "seeds", "envs")
+        return put(batch, "seeds", None, "envs")._replace(hidden=hidden)
 
     def put_states(self, states: Any) -> Any:
         def laid(x: Any) -> Any:

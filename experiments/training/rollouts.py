@@ -11,10 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sndjax import Actor, ActOutput, Experience, Rollout
+from sndjax import Actor, ActorCritic, ActorMemory, ActOutput, Experience, Rollout
 
 from ..config.schema import Config
 from ..environments.pool import EnvStep, Pool
+from .frame_buffers import DeviceFrames, HostFrames
 
 
 class RolloutInfo(NamedTuple):
@@ -27,13 +28,13 @@ class RolloutInfo(NamedTuple):
     room: np.ndarray | None
 
 
-def experience_spec(config: Config, pool: Pool, value_heads: int) -> Experience:
+def experience_spec(config: Config, pool: Pool, network: ActorCritic) -> Experience:
     """Return the shapes and dtypes of the batches that a run collects.
 
     Args:
       config: the configuration, for its seeds, environments, rollout length and stack.
       pool: any pool of its environments, for the shape and dtype of frames.
-      value_heads: K, the number of value heads of the policy.
+      network: the policy, for its value heads and its memory.
     """
     seeds, envs, steps = config.num_seeds, config.num_envs, config.rollout_length
     array: Any = lambda dtype, *shape: jax.ShapeDtypeStruct((seeds, *shape), dtype)
@@ -51,8 +52,21 @@ def experience_spec(config: Config, pool: Pool, value_heads: int) -> Experience:
         reward=row(np.float32),
         truncated=row(bool),
         log_prob=row(np.float32),
-        value=array(np.float32, steps + 1, envs, value_heads),
+        value=array(np.float32, steps + 1, envs, network.value_heads),
+        hidden=init_hidden(network, seeds, envs),
     )
+
+
+def init_hidden(network: ActorCritic, seeds: int, envs: int) -> Any:
+    """Return the recurrent state of every seed before an episode, [S, N, d]; None without any.
+
+    Args:
+      network: the policy.
+      seeds: S.
+      envs: N.
+    """
+    one = network.initial_memory(envs)
+    return None if one is None else np.zeros((seeds, *one.shape), one.dtype)
 
 
 def choose_num_pools(num_envs: int) -> int:
@@ -64,80 +78,15 @@ def choose_num_pools(num_envs: int) -> int:
     return 2 if jax.default_backend() != "cpu" and num_envs % 2 == 0 else 1
 
 
-class HostFrames:
-    """The frames of a rollout in host memory, for learning on the CPU."""
-
-    def __init__(self, shape: tuple[int, ...], dtype: Any):
-        """Allocate frames [S, T + 1, N, *frame]."""
-        self.buffer: Any = np.zeros(shape, dtype)
-
-    def put(self, t: int, envs: slice, frame: np.ndarray) -> Any:
-        """Store the frames of one step of some environments.
-
-        Args:
-          t: the step.
-          envs: the environments.
-          frame: their frames, [S, n, *frame].
-
-        Returns:
-          The frames as the policy gets them.
-        """
-        self.buffer[:, t, envs] = frame
-        return self.buffer[:, t, envs]
-
-    def stacked(self) -> Any:
-        """Return the frames of the rollout. The next rollout reuses their memory."""
-        return self.buffer
-
-
-class DeviceFrames:
-    """The frames of a rollout on the device that learns: acting and learning share one copy."""
-
-    def __init__(self, shape: tuple[int, ...], place: Callable[[np.ndarray], Any]):
-        """Start without frames.
-
-        Args:
-          shape: the shape of all frames, [S, T + 1, N, *frame].
-          place: a function that copies frames to the devices that learn.
-        """
-        self.place = place
-        self.steps: list[list[jax.Array]] = [[] for _ in range(shape[1])]
-
-        def join(steps: list[list[jax.Array]]) -> jax.Array:
-            return jnp.stack([jnp.concatenate(groups, axis=1) for groups in steps], axis=1)
-
-        self.join = jax.jit(join)
-
-    def put(self, t: int, envs: slice, frame: np.ndarray) -> Any:
-        """Copy the frames of one step of some environments to the devices that learn.
-
-        Args:
-          t: the step.
-          envs: the environments.
-          frame: their frames, [S, n, *frame].
-
-        Returns:
-          The frames as the policy gets them.
-        """
-        if envs.start == 0:
-            self.steps[t] = []
-        self.steps[t].append(self.place(frame))
-        return self.steps[t][-1]
-
-    def stacked(self) -> Any:
-        """Return the frames of the rollout."""
-        return self.join(self.steps)
-
-
 @dataclass
 class PoolState:
-    """A pool, with the newest frames and the stacks of its environments."""
+    """A pool, with the newest frames and what the policy remembers of its environments."""
 
     pool: Pool
     envs: slice  # the positions of its environments among all
     frame: Any  # [S, n, *frame], the newest
     first: np.ndarray  # [S, n], whether the frame is the first of an episode
-    window: Any  # [S, stack, n, *frame], the stack before this frame
+    memory: ActorMemory  # leaves [S, ...], before this frame
 
 
 class Collector:
@@ -153,7 +102,7 @@ class Collector:
         act: Callable[..., Any],
         stack: int,
         steps: int,
-        heads: int,
+        network: ActorCritic,
         place: Callable[[np.ndarray], Any] = jax.device_put,
     ):
         """Reset the pools.
@@ -163,7 +112,7 @@ class Collector:
           act: `sndjax.act` of the agent, mapped over seeds.
           stack: the number of frames in a stack.
           steps: T, the number of steps of a rollout.
-          heads: K, the number of value heads.
+          network: the policy, for its value heads and its memory.
           place: a function that copies frames [S, n, ...] to the devices that learn.
         """
         pool = pools[0]
@@ -182,7 +131,10 @@ class Collector:
                 envs=slice(k * size, (k + 1) * size),
                 frame=pool.reset(),
                 first=np.ones((seeds, size), bool),
-                window=np.zeros((seeds, stack, size, *pool.shape), pool.dtype),
+                memory=ActorMemory(
+                    np.zeros((seeds, stack, size, *pool.shape), pool.dtype),  # type: ignore
+                    init_hidden(network, seeds, size),
+                ),
             )
             for k, pool in enumerate(pools)
         ]
@@ -198,10 +150,10 @@ class Collector:
             "log_prob": np.zeros(rows, np.float32),
             "score": np.zeros(rows, np.float32),
         }
-        self.value: Any = np.zeros((seeds, steps + 1, envs, heads), np.float32)
+        self.value: Any = np.zeros((seeds, steps + 1, envs, network.value_heads), np.float32)
         self.room: Any = np.zeros(rows, np.uint8) if pool.rooms else None
 
-    def act(self, k: int, actor: Actor, t: int) -> tuple[ActOutput, Any]:
+    def act(self, k: int, actor: Actor, t: int) -> tuple[ActOutput, ActorMemory]:
         """Compute the actions of one step in one pool, and store the values.
 
         Args:
@@ -210,26 +162,28 @@ class Collector:
           t: the step.
 
         Returns:
-          The output of the policies, and the stacks with the newest frame.
+          The output of the policies, and their memory with the newest frame.
         """
         state = self.pool_states[k]
         state.frame = self.frames.put(t, state.envs, state.frame)
         step = np.int32(t * len(self.pool_states) + k)
-        output, window = self.policy_act(actor, state.window, state.frame, state.first, step)
+        output, memory = self.policy_act(actor, state.memory, state.frame, state.first, step)
         self.value[:, t, state.envs] = output.value
-        return output, window
+        return output, memory
 
-    def send_actions(self, state: PoolState, t: int, output: ActOutput, window: Any) -> None:
+    def send_actions(
+        self, state: PoolState, t: int, output: ActOutput, memory: ActorMemory
+    ) -> None:
         """Start step t of a pool's environments, and store the output of the policies.
 
         Args:
           state: the state of the pool.
           t: the step.
           output: the output of the policies.
-          window: the stacks that the policies got.
+          memory: of the policies after it.
         """
         state.pool.send(np.asarray(output.executed))
-        state.window = window
+        state.memory = memory
         columns = self.columns
         columns["action"][:, t, state.envs] = output.action
         columns["log_prob"][:, t, state.envs] = output.log_prob
@@ -256,15 +210,16 @@ class Collector:
         Returns:
           The batch for `train_step`, leaves [S, ...], and the data for the log.
         """
-        histories = []
+        histories: list[Any] = []
+        hidden: list[Any] = [state.memory.hidden for state in self.pool_states]
         for t in range(self.steps):
             for k, state in enumerate(self.pool_states):
                 if t > 0:
                     self.receive_steps(state, t - 1)
-                output, window = self.act(k, actor, t)
-                self.send_actions(state, t, output, window)
+                output, memory = self.act(k, actor, t)
+                self.send_actions(state, t, output, memory)
                 if t == 0:
-                    histories.append(window[:, :-1])
+                    histories.append(memory.window[:, :-1])
             if t > 0:
                 report(t)
         for k, state in enumerate(self.pool_states):
@@ -286,6 +241,7 @@ class Collector:
             truncated=c["truncated"],
             log_prob=c["log_prob"],
             value=self.value,
+            hidden=None if hidden[0] is None else jnp.concatenate(hidden, axis=1),
         )
         columns = {name: c[name] for name in ("valid", "game_over", "reward", "score")}
         return batch, RolloutInfo(**columns, room=self.room)

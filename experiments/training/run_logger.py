@@ -8,7 +8,7 @@ import numpy as np
 
 import sndjax
 
-from ..config.saved import check_settings, run_settings
+from ..config.run_settings import check_settings, run_settings
 from ..config.schema import Config
 from ..storage.array_trees import CheckpointError
 from ..storage.checkpoints import Checkpoints

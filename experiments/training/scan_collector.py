@@ -19,7 +19,7 @@ from ..config.schema import Config
 from ..environments.pool import Pool, training_reward
 from ..environments.pools import EnvpoolPool
 from .agents import map_over_seeds
-from .rollouts import RolloutInfo
+from .rollouts import RolloutInfo, init_hidden
 
 ENVIRONMENT_STREAM = 2  # folded into a seed's key; acting folds 1, learning 0
 # (actor, environments) of one seed -> (batch, environments, the task's own reward)
@@ -118,12 +118,15 @@ def with_training_reward(
     return batch._replace(reward=reward), live, batch.reward
 
 
-def first_environments(pool: EnvpoolPool, stack: int) -> sndjax.LiveEnvironments:
+def first_environments(
+    pool: EnvpoolPool, stack: int, network: sndjax.ActorCritic
+) -> sndjax.LiveEnvironments:
     """Reset a pool, and return its environments, leaves [S, ...].
 
     Args:
       pool: the environments of all seeds.
       stack: the number of frames that the policy sees.
+      network: the policy, for its memory.
     """
     frame = jnp.array(pool.reset())
     seeds, envs = pool.rows
@@ -133,6 +136,7 @@ def first_environments(pool: EnvpoolPool, stack: int) -> sndjax.LiveEnvironments
         first=jnp.ones((seeds, envs), bool),
         ended=jnp.zeros((seeds, envs), bool),
         window=jnp.zeros((seeds, stack, envs, *pool.shape), pool.dtype),
+        hidden=jax.tree.map(jnp.asarray, init_hidden(network, seeds, envs)),
     )
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.protocols import Encode, Objective
+from sndjax.ranges import Weight
 from sndjax.statistics import mask_rows, masked_mean, masked_sum, valid_count
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
@@ -13,7 +14,7 @@ def barlow_twins_loss(
     z: Float[Array, "B d"],
     z_next: Float[Array, "B d"],
     valid: Bool[Array, " B"],
-    redundancy: float = 5e-3,
+    redundancy_weight: float = 5e-3,
 ) -> Loss:
     """Compute Barlow Twins over the n valid rows, on features normalised along the batch::
 
@@ -27,7 +28,7 @@ def barlow_twins_loss(
       z: features of s_t.
       z_next: features of s_t+1.
       valid: the rows that count.
-      redundancy: lambda.
+      redundancy_weight: lambda.
 
     Returns:
       The scalar loss and its two terms, unweighted.
@@ -47,17 +48,20 @@ def barlow_twins_loss(
     own = jnp.eye(z.shape[1], dtype=bool)
     invariance = jnp.sum((1 - jnp.diagonal(correlation)) ** 2)
     others = jnp.sum(jnp.where(own, jnp.zeros_like(correlation), correlation) ** 2)
-    return invariance + redundancy * others, {
+    return invariance + redundancy_weight * others, {
         "barlow_invariance": invariance,
         "barlow_redundancy": others,
     }
 
 
-def barlow_twins(redundancy: float = 5e-3) -> Objective:
+def barlow_twins(redundancy_weight: Weight = 5e-3) -> Objective:
     """Make the Barlow Twins objective (eq. 3.11), without parameters. See `barlow_twins_loss`.
 
+    Args:
+      redundancy_weight: lambda, the weight of the correlations between different features.
+
     >>> barlow_twins()
-    barlow_twins(redundancy=0.005)
+    barlow_twins(redundancy_weight=0.005)
     """
 
     def init(key: PRNGKeyArray, features: Features, num_actions: int) -> Params:
@@ -71,6 +75,7 @@ def barlow_twins(redundancy: float = 5e-3) -> Objective:
         rollout: Rollout,
         key: PRNGKeyArray,
     ) -> Loss:
-        return barlow_twins_loss(features.z, features.z_next, batch.valid, redundancy)
+        return barlow_twins_loss(features.z, features.z_next, batch.valid, redundancy_weight)
 
-    return Objective(init, loss, name="barlow_twins", settings={"redundancy": redundancy})
+    settings = {"redundancy_weight": redundancy_weight}
+    return Objective(init, loss, name="barlow_twins", settings=settings)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.networks import MLP
 from sndjax.protocols import Encode, Objective, TargetNetwork
+from sndjax.ranges import Decay
 from sndjax.statistics import mask_rows, masked_mean, safe_sqrt
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
@@ -55,12 +56,15 @@ def make_heads(z: Float[Array, "B d"]) -> tuple[MLP, MLP]:
     return MLP((width, width // 2)), MLP((width, width // 2))
 
 
-def byol(ema_decay: float = 0.99) -> Objective:
+def byol(ema_decay: Decay = 0.99) -> Objective:
     """Make BYOL (eq. 3.10): each state predicts the target network's projection of the other one.
 
     Projector and predictor are d -> d -> d/2 and d/2 -> d -> d/2, ReLU, without the batch
     normalisation of Grill et al. (2020). Encoder and projector of the target network are moving
     averages, target = ema_decay * target + (1 - ema_decay) * online after each optimizer step.
+
+    Args:
+      ema_decay: of the target network's weights.
 
     >>> byol()
     byol(ema_decay=0.99)

@@ -7,11 +7,11 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.convolution import to_float
 from sndjax.protocols import Encode, Objective
+from sndjax.ranges import Decay, Share, Weight
 from sndjax.statistics import broadcast_mask, mask_rows
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
 TILES = (1, 2, 4, 8, 12, 16)  # sides in pixels; those that divide the image are used
-NOISE = 0.2
 
 
 def contrastive_loss(
@@ -70,37 +70,52 @@ def draw_pairs(
     return row(one), row(jnp.where(far, (one + step) % count, one)), far
 
 
-def augment(key: PRNGKeyArray, x: Float[Array, "P *frame"]) -> Float[Array, "P *frame"]:
-    """Add tiles of zeros, then uniform noise in +-0.2, each to half of the samples; no clipping.
+def augment(
+    key: PRNGKeyArray, x: Float[Array, "P *frame"], noise: float = 0.2, erased: float = 0.1
+) -> Float[Array, "P *frame"]:
+    """Add tiles of zeros, then uniform noise, each to half of the samples; no clipping.
 
-    Tiles are square, of one side per call, and each is zero with probability 0.1; the tiles of
-    a vector are its elements.
+    Tiles are square, of one side per call; the tiles of a vector are its elements.
+
+    Args:
+      key: of the draws.
+      x: the samples.
+      noise: the largest size of the noise; pixels are in [0, 1].
+      erased: the probability that a tile is zero.
     """
     key_tiled, key_tile, key_side, key_noised, key_noise = jax.random.split(key, 5)
-    samples = x.shape[0]
+    samples, probability = x.shape[0], jnp.float32(erased)
     if x.ndim == 4:
         height, width = x.shape[1:3]
         fitting = [s for s in TILES if height % s == 0 and width % s == 0]
         sides = jnp.array(fitting, jnp.int32)
         side = sides[jax.random.randint(key_side, (), 0, len(fitting), jnp.int32)]
-        drawn = jax.random.bernoulli(key_tile, jnp.float32(0.1), (samples, height, width))
+        drawn = jax.random.bernoulli(key_tile, probability, (samples, height, width))
         rows, columns = jnp.arange(height) // side, jnp.arange(width) // side
         zeroed = drawn[:, rows][:, :, columns][..., None]
     else:
-        zeroed = jax.random.bernoulli(key_tile, jnp.float32(0.1), x.shape)
+        zeroed = jax.random.bernoulli(key_tile, probability, x.shape)
     half = jnp.float32(0.5)
     tiled = jax.random.bernoulli(key_tiled, half, (samples,))
     x = jnp.where(broadcast_mask(tiled, x) & zeroed, jnp.zeros_like(x), x)
-    noise = jax.random.uniform(key_noise, x.shape, jnp.float32, -NOISE, NOISE)
+    added = jax.random.uniform(key_noise, x.shape, jnp.float32, -noise, noise)
     noised = jax.random.bernoulli(key_noised, half, (samples,))
-    return jnp.where(broadcast_mask(noised, x), x + noise.astype(x.dtype), x)
+    return jnp.where(broadcast_mask(noised, x), x + added.astype(x.dtype), x)
 
 
-def contrastive() -> Objective:
+def contrastive(
+    bound: Weight = 200.0, pairs: Share = 1 / 8, noise: Weight = 0.2, erased: Decay = 0.1
+) -> Objective:
     """Make the objective of SND-V: B/8 pairs of the whole rollout, drawn for each minibatch.
 
     It reads neither the minibatch nor any s_t+1. See `contrastive_loss`. Without any valid row in
     the rollout the loss is 0.
+
+    Args:
+      bound: what the mean squares of both views may reach together before they cost.
+      pairs: of a minibatch, at least 2, in units of its rows.
+      noise: the largest size of the noise on half of the views; pixels are in [0, 1].
+      erased: the probability that a tile of the other half's views is zero.
 
     >>> contrastive().needs_pairs
     False
@@ -118,14 +133,15 @@ def contrastive() -> Objective:
         key: PRNGKeyArray,
     ) -> Loss:
         key_pairs, key_one, key_other = jax.random.split(key, 3)
-        pairs = max(2, batch.valid.shape[0] // 8)
-        one, other, far = draw_pairs(key_pairs, rollout.valid.reshape(-1), pairs)
+        count = max(2, int(batch.valid.shape[0] * pairs))
+        one, other, far = draw_pairs(key_pairs, rollout.valid.reshape(-1), count)
         frames = rollout.frames.reshape(-1, *rollout.frames.shape[2:])
         some = jnp.any(rollout.valid)
-        drawn = lambda rows: mask_rows(to_float(frames[rows]), jnp.broadcast_to(some, (pairs,)))
-        za, _ = encode(augment(key_one, drawn(one)))
-        zb, _ = encode(augment(key_other, drawn(other)))
-        total, terms = contrastive_loss(za, zb, far)
+        drawn = lambda rows: mask_rows(to_float(frames[rows]), jnp.broadcast_to(some, (count,)))
+        za, _ = encode(augment(key_one, drawn(one), noise, erased))
+        zb, _ = encode(augment(key_other, drawn(other), noise, erased))
+        total, terms = contrastive_loss(za, zb, far, bound)
         return jnp.where(some, total, jnp.zeros_like(total)), terms
 
-    return Objective(init, loss, needs_pairs=False, name="contrastive")
+    settings = {"bound": bound, "pairs": pairs, "noise": noise, "erased": erased}
+    return Objective(init, loss, needs_pairs=False, name="contrastive", settings=settings)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.networks import MLP, mlp_widths
 from sndjax.protocols import Encode, Objective
+from sndjax.ranges import Positive
 from sndjax.statistics import mask_rows, masked_mean
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
@@ -42,11 +43,14 @@ def inverse_dynamics_loss(
     return loss, {"inverse_dynamics": loss, "inverse_accuracy": masked_mean(right, valid)}
 
 
-def inverse_dynamics(last: float = 1.0) -> Objective:
+def inverse_dynamics(last: Positive = 1.0) -> Objective:
     """Make an inverse model of 2d -> d -> last * d -> A that tells the action from z_t and z_t+1.
 
     ICM's is `last=1`, SND-VINV's `last=1/2`. See `inverse_dynamics_loss`. Its `init` raises
     ValueError where there are fewer than two actions to tell apart.
+
+    Args:
+      last: the width of the last hidden layer, in units of d.
 
     >>> inverse_dynamics()
     inverse_dynamics(last=1.0)
@@ -57,7 +61,7 @@ def inverse_dynamics(last: float = 1.0) -> Objective:
             raise ValueError(f"inverse dynamics needs at least 2 actions, not {num_actions}")
         width = features.z.shape[-1]
         both = jnp.concatenate([features.z, features.z_next], axis=-1)
-        return MLP((width, int(last * width), num_actions)).init(key, both)
+        return MLP((width, max(1, int(last * width)), num_actions)).init(key, both)
 
     def loss(
         params: Params,

@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.protocols import Encode, Objective
+from sndjax.ranges import Weight
 from sndjax.statistics import mask_rows, masked_mean, safe_sqrt, valid_count
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
@@ -157,8 +158,12 @@ class Projection(nn.Module):
         return dense(x)
 
 
-def st_dim(norm_weight: float = 1e-4, spread_weight: float = 1e-4) -> Objective:
+def st_dim(norm_weight: Weight = 1e-4, spread_weight: Weight = 1e-4) -> Objective:
     """Make the ST-DIM objective (eq. 5.6); its parameters are two linear maps. See `st_dim_loss`.
+
+    Args:
+      norm_weight: beta_1, the weight of the norm of the logits.
+      spread_weight: beta_2, the weight of the features' standard deviation.
 
     >>> st_dim()
     st_dim(norm_weight=0.0001, spread_weight=0.0001)

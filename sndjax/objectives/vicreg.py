@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from sndjax.protocols import Encode, Objective
+from sndjax.ranges import Weight
 from sndjax.statistics import mask_rows, masked_mean, masked_sum, valid_count
 from sndjax.types import Features, Loss, Params, Rollout, Transition
 
@@ -14,9 +15,9 @@ def vicreg_loss(
     z: Float[Array, "B d"],
     z_next: Float[Array, "B d"],
     valid: Bool[Array, " B"],
-    invariance: float = 1.0,
-    variance: float = 1.0,
-    covariance: float = 1 / 25,
+    invariance_weight: float = 1.0,
+    variance_weight: float = 1.0,
+    covariance_weight: float = 1 / 25,
 ) -> Loss:
     """Compute VICReg on the features of s_t and s_t+1, over the n valid rows::
 
@@ -31,9 +32,9 @@ def vicreg_loss(
       z: features of s_t.
       z_next: features of s_t+1.
       valid: the rows that count.
-      invariance: lambda.
-      variance: mu.
-      covariance: nu.
+      invariance_weight: lambda.
+      variance_weight: mu.
+      covariance_weight: nu.
 
     Returns:
       The scalar loss and its three terms, unweighted.
@@ -59,24 +60,28 @@ def vicreg_loss(
 
     terms = zip(variance_and_covariance(z), variance_and_covariance(z_next), strict=True)
     hinge, redundancy = (a + b for a, b in terms)
-    total = invariance * similarity + variance * hinge + covariance * redundancy
-    return total, {
+    total = invariance_weight * similarity + variance_weight * hinge
+    return total + covariance_weight * redundancy, {
         "vicreg_invariance": similarity,
         "vicreg_variance": hinge,
         "vicreg_covariance": redundancy,
     }
 
 
-def vicreg(invariance: float = 1.0, variance: float = 1.0, covariance: float = 1 / 25) -> Objective:
+def vicreg(
+    invariance_weight: Weight = 1.0,
+    variance_weight: Weight = 1.0,
+    covariance_weight: Weight = 1 / 25,
+) -> Objective:
     """Make the VICReg objective (eq. 5.7), without parameters of its own. See `vicreg_loss`.
 
     Args:
-      invariance: lambda, the weight of the distance between s_t and s_t+1.
-      variance: mu, the weight of the hinge on standard deviations.
-      covariance: nu, the weight of the covariances.
+      invariance_weight: lambda, the weight of the distance between s_t and s_t+1.
+      variance_weight: mu, the weight of the hinge on standard deviations.
+      covariance_weight: nu, the weight of the covariances.
 
     >>> vicreg()
-    vicreg(invariance=1.0, variance=1.0, covariance=0.04)
+    vicreg(invariance_weight=1.0, variance_weight=1.0, covariance_weight=0.04)
     """
 
     def init(key: PRNGKeyArray, features: Features, num_actions: int) -> Params:
@@ -90,9 +95,11 @@ def vicreg(invariance: float = 1.0, variance: float = 1.0, covariance: float = 1
         rollout: Rollout,
         key: PRNGKeyArray,
     ) -> Loss:
-        return vicreg_loss(
-            features.z, features.z_next, batch.valid, invariance, variance, covariance
-        )
+        return vicreg_loss(features.z, features.z_next, batch.valid, **weights)
 
-    settings = {"invariance": invariance, "variance": variance, "covariance": covariance}
-    return Objective(init, loss, name="vicreg", settings=settings)
+    weights = {
+        "invariance_weight": invariance_weight,
+        "variance_weight": variance_weight,
+        "covariance_weight": covariance_weight,
+    }
+    return Objective(init, loss, name="vicreg", settings=weights)

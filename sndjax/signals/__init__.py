@@ -1,7 +1,7 @@
 """Signals: what is read off an encoder. Each file has one constructor, of its own name.
 
 A signal knows nothing of objectives, agents or training steps. Its constructor takes a `predictor`
-network if it distils the encoder, and `gradient` if it has a forward loss; the grid and the
+network if it distils the encoder; the grid and the
 configuration read that from its parameters.
 """
 

@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.protocols import EncoderView, Signal
+from sndjax.ranges import Count, Share
 from sndjax.rollout import map_over_time
 from sndjax.signals.prediction import (
     encode_rollout,
@@ -29,11 +30,15 @@ def ensemble_variance(predicted: Float[Array, "K B d"]) -> Float[Array, " B"]:
     return jnp.mean(jnp.var(predicted, axis=0), axis=-1)
 
 
-def disagreement(ensemble_size: int = 5, bootstrap_fraction: float = 0.5) -> Signal:
+def disagreement(ensemble_size: Count = 5, bootstrap_fraction: Share = 0.5) -> Signal:
     """Make the variance of an ensemble of forward models (eq. 4.3; Pathak et al., 2019).
 
     Read on (s_t, a_t). Each member sees its own random `bootstrap_fraction` of every minibatch's
     rows; no gradient of its loss reaches the encoder.
+
+    Args:
+      ensemble_size: the number of forward models.
+      bootstrap_fraction: of a minibatch's rows that each of them sees.
 
     >>> disagreement()
     disagreement(ensemble_size=5, bootstrap_fraction=0.5)

@@ -1,6 +1,6 @@
 """Distillation: the novelty of a state is how badly a predictor copies the encoder there."""
 
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 import chex
 import jax
@@ -8,9 +8,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
+from sndjax.checks import check_choice
 from sndjax.convolution import to_float
 from sndjax.networks import Encoder, match_dtype
 from sndjax.protocols import EncoderView, Signal
+from sndjax.ranges import Share
 from sndjax.rollout import map_over_time
 from sndjax.statistics import broadcast_mask, mask_rows
 from sndjax.types import Features, Loss, Params, Rollout, State, Transition
@@ -105,7 +107,7 @@ def distillation(
     *,
     reward_reduction: RewardReduction = "mean",
     loss_reduction: LossReduction = "mean",
-    update_proportion: float = 1.0,
+    update_proportion: Share = 1.0,
 ) -> Signal:
     """Make the signal of a predictor that copies the encoder: its error at s_t (eq. 4.23).
 
@@ -122,6 +124,8 @@ def distillation(
     >>> distillation(Encoder((), VECTOR.hidden, VECTOR.features, gain=1.0))
     distillation(reward_reduction='mean', loss_reduction='mean', update_proportion=1.0)
     """
+    check_choice("reward_reduction", reward_reduction, get_args(RewardReduction))
+    check_choice("loss_reduction", loss_reduction, get_args(LossReduction))
 
     def init(
         key: PRNGKeyArray,

@@ -1,7 +1,7 @@
 """E3B: an ellipsoid around the episode's states; what lies outside of it is novel."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import chex
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection
 from sndjax.protocols import EncoderView, Signal
+from sndjax.ranges import Count, Positive
 from sndjax.signals.prediction import encode_rollout
 from sndjax.statistics import (
     init_running_statistics,
@@ -90,7 +91,11 @@ def elliptical_bonus(
 
 
 def e3b(
-    *, width: int = 128, ridge: float = 0.1, scale_features: bool = False, normalize: bool = True
+    *,
+    width: Count = 128,
+    ridge: Positive = 0.1,
+    scale_features: bool = False,
+    normalize: bool = True,
 ) -> Signal:
     """Make the elliptical bonus of s_t+1 within its episode (Henaff et al., 2022).
 
@@ -156,11 +161,7 @@ def e3b(
     ) -> Loss:
         return jnp.zeros((), features.z.dtype), {}
 
-    settings = {
-        "width": width,
-        "ridge": ridge,
-        "scale_features": scale_features,
-        "normalize": normalize,
-    }
+    settings: dict[str, Any] = {"width": width, "ridge": ridge}
+    settings |= {"scale_features": scale_features, "normalize": normalize}
     made = Signal(init, reward, loss, name="e3b", settings=settings)
     return made._replace(has_published_scale=False, episodic=True)

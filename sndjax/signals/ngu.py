@@ -1,6 +1,6 @@
 """Never Give Up: new to the episode, times new to the agent's life."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import chex
 import jax
@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 from sndjax.hashing import random_projection
 from sndjax.networks import Encoder
 from sndjax.protocols import EncoderView, Signal
+from sndjax.ranges import Count, Decay, Positive, Range, Share, Weight
 from sndjax.signals.distillation import (
     LossReduction,
     RewardReduction,
@@ -36,15 +37,15 @@ class Memory(NamedTuple):
 
 
 class Kernel(NamedTuple):
-    """The constants of the episodic novelty, as published."""
+    """The constants of the episodic novelty, see the arguments of `ngu`."""
 
-    neighbours: int = 10
-    epsilon: float = 1e-4
-    cluster: float = 0.008
-    constant: float = 1e-3
-    max_similarity: float = 8.0  # beyond which nothing is novel
-    distance_decay: float = 0.99  # of d_m^2 at each step; 1: the mean over all steps
-    full_memory: bool = True  # nothing is novel before k neighbours are in memory
+    neighbours: int
+    epsilon: float
+    cluster: float
+    constant: float
+    max_similarity: float
+    distance_decay: float
+    full_memory: bool
 
 
 class NGUState(NamedTuple):
@@ -176,39 +177,24 @@ def lifelong_factor(
     return jnp.clip(1 + (error - moments.mean) / std(moments), 1.0, max_lifelong_factor)
 
 
-def ngu(
+def make_ngu(
     predictor: Encoder,
-    *,
-    memory_size: int = 1024,
-    width: int = 32,
-    kernel: Kernel = Kernel(),
-    max_lifelong_factor: float = 5.0,
-    reward_reduction: RewardReduction = "mean",
-    loss_reduction: LossReduction = "mean",
-    update_proportion: float = 1.0,
+    base: Signal,
+    kernel: Kernel,
+    memory_size: int,
+    width: int,
+    max_lifelong_factor: float,
 ) -> Signal:
-    """Make the episodic novelty of s_t+1 times its lifelong novelty (Badia et al., 2020).
-
-    The lifelong novelty is the distillation error in units of its running standard deviation.
-    Features of more than `width` components are projected to `width` at random; the paper's
-    encoder is trained by inverse dynamics, 32 wide.
+    """Make Never Give Up of a distillation and the constants of its episodic novelty. See `ngu`.
 
     Args:
-      predictor: of the distillation, see `distillation`.
-      memory_size: C, newest states of an episode that are compared with.
-      width: of the features in memory; N * C * width numbers.
-      kernel: the constants of the episodic novelty.
-      max_lifelong_factor: L, which the lifelong factor is clipped to.
-      reward_reduction: of the distillation.
-      loss_reduction: of the distillation.
-      update_proportion: of the distillation.
+      predictor: of the distillation.
+      base: the distillation.
+      kernel: the constants.
+      memory_size: C.
+      width: of the features in memory.
+      max_lifelong_factor: L.
     """
-    base = distillation(
-        predictor,
-        reward_reduction=reward_reduction,
-        loss_reduction=loss_reduction,
-        update_proportion=update_proportion,
-    )
 
     def init(
         key: PRNGKeyArray,
@@ -235,7 +221,7 @@ def ngu(
     ) -> tuple[Float[Array, "T N"], NGUState]:
         z = encode_rollout(view, rollout.frames)
         error = rollout_distillation_error(
-            predictor, params, view, rollout.frames, z, reward_reduction
+            predictor, params, view, rollout.frames, z, base.settings["reward_reduction"]
         )[1:]
         z = z if state.projection is None else z @ state.projection
         episodic, memory = episodic_rewards(state.memory, z, rollout, kernel)
@@ -246,9 +232,66 @@ def ngu(
     settings = {
         "memory_size": memory_size,
         "width": width,
-        "kernel": kernel,
+        **kernel._asdict(),
         "max_lifelong_factor": max_lifelong_factor,
         **base.settings,
     }
     made = Signal(init, reward, base.loss, name="ngu", settings=settings)
     return made._replace(has_published_scale=False, episodic=True)
+
+
+def ngu(
+    predictor: Encoder,
+    *,
+    memory_size: Count = 1024,
+    width: Count = 32,
+    neighbours: Count = 10,
+    epsilon: Positive = 1e-4,
+    cluster: Weight = 0.008,
+    constant: Weight = 1e-3,
+    max_similarity: Positive = 8.0,
+    distance_decay: Decay = 0.99,
+    full_memory: bool = True,
+    max_lifelong_factor: Annotated[float, Range(low=1)] = 5.0,
+    reward_reduction: RewardReduction = "mean",
+    loss_reduction: LossReduction = "mean",
+    update_proportion: Share = 1.0,
+) -> Signal:
+    """Make the episodic novelty of s_t+1 times its lifelong novelty (Badia et al., 2020).
+
+    The lifelong novelty is the distillation error in units of its running standard deviation.
+    Features of more than `width` components are projected to `width` at random; the paper's
+    encoder is trained by inverse dynamics, 32 wide.
+
+    Args:
+      predictor: of the distillation, see `distillation`.
+      memory_size: C, newest states of an episode that are compared with.
+      width: of the features in memory; N * C * width numbers.
+      neighbours: k, the nearest states in memory that count.
+      epsilon: of the kernel epsilon / (d^2 / d_m^2 + epsilon).
+      cluster: xi, the distance below which a neighbour counts as the same state.
+      constant: c, added to the root of the sum over the kernel.
+      max_similarity: the similarity beyond which nothing is novel.
+      distance_decay: of d_m^2 at each step; 1: the mean over all steps.
+      full_memory: nothing is novel before k neighbours are in memory.
+      max_lifelong_factor: L, which the lifelong factor is clipped to.
+      reward_reduction: of the distillation.
+      loss_reduction: of the distillation.
+      update_proportion: of the distillation.
+    """
+    kernel = Kernel(
+        neighbours=neighbours,
+        epsilon=epsilon,
+        cluster=cluster,
+        constant=constant,
+        max_similarity=max_similarity,
+        distance_decay=distance_decay,
+        full_memory=full_memory,
+    )
+    base = distillation(
+        predictor,
+        reward_reduction=reward_reduction,
+        loss_reduction=loss_reduction,
+        update_proportion=update_proportion,
+    )
+    return make_ngu(predictor, base, kernel, memory_size, width, max_lifelong_factor)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 from sndjax.hashing import random_projection, simhash_code
 from sndjax.networks import Encoder
 from sndjax.protocols import EncoderView, Signal
+from sndjax.ranges import HashBits, Share, Weight
 from sndjax.signals.distillation import (
     LossReduction,
     RewardReduction,
@@ -129,13 +130,13 @@ def noveld_reward(
 def noveld(
     predictor: Encoder,
     *,
-    alpha: float = 0.5,
+    alpha: Weight = 0.5,
     novelty: Novelty = "norm",
-    num_hash_bits: int = 14,
+    num_hash_bits: HashBits = 14,
     centre: bool = True,
     reward_reduction: RewardReduction = "mean",
     loss_reduction: LossReduction = "mean",
-    update_proportion: float = 1.0,
+    update_proportion: Share = 1.0,
 ) -> Signal:
     """Make the gain in distillation novelty from s_t to s_t+1, once per state and episode.
 

@@ -1,7 +1,7 @@
 """Forward prediction: the novelty of a transition is the error of a forward model."""
 
 from functools import partial
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 import chex
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
+from sndjax.checks import check_choice
 from sndjax.networks import MLP, mlp_widths
 from sndjax.protocols import EncoderView, Signal
 from sndjax.rollout import map_over_time
@@ -101,6 +102,7 @@ def prediction(*, gradient: Gradient = "symmetric") -> Signal:
     >>> prediction(gradient="asymmetric")
     prediction(gradient='asymmetric')
     """
+    check_choice("gradient", gradient, get_args(Gradient))
 
     def init(
         key: PRNGKeyArray,

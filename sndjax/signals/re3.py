@@ -6,6 +6,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.protocols import EncoderView, Signal
+from sndjax.ranges import Count
 from sndjax.signals.prediction import encode_rollout
 from sndjax.statistics import (
     init_running_statistics,
@@ -104,7 +105,7 @@ def neighbour_distance(
     return jnp.max(distance, axis=-1)
 
 
-def re3(k: int = 4, *, average: bool = True, normalize: bool = True) -> Signal:
+def re3(k: Count = 4, *, average: bool = True, normalize: bool = True) -> Signal:
     """Make log(1 + distance of s_t to its nearest neighbours) (eq. 4.46; Seo et al., 2021).
 
     The defaults are those of the authors' code for MiniGrid: the mean distance to the nearest

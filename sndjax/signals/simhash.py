@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection, simhash_code
 from sndjax.protocols import EncoderView, Signal
+from sndjax.ranges import HashBits
 from sndjax.signals.prediction import encode_rollout
 from sndjax.statistics import init_running_statistics, update_running_statistics
 from sndjax.types import (
@@ -44,7 +45,7 @@ def add_counts(
     return counts.at[code].add(valid.astype(counts.dtype))
 
 
-def simhash(num_hash_bits: int = 16, *, centre: bool = True) -> Signal:
+def simhash(num_hash_bits: HashBits = 16, *, centre: bool = True) -> Signal:
     """Make 1 / sqrt(n(Phi(s_t))), Phi the signs of `num_hash_bits` random projections (eq. 4.18).
 
     Tang et al. (2017). The rollout's own states are counted before its rewards are read. The

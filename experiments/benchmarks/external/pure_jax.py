@@ -121,7 +121,7 @@ def our_program(settings: dict[str, Any], algo: str, updates: int) -> Callable[[
     )
     env = JaxPool(config.env, [env_seeds(0, envs, 0)]).environment
     assert env is not None
-    intrinsic = make_intrinsic_config(config.algo, ACTIONS, sndjax.VECTOR)
+    intrinsic = make_intrinsic_config(config, ACTIONS, sndjax.VECTOR)
     agent = sndjax.AgentSpec(
         network=sndjax.ActorCritic(sndjax.VECTOR, ACTIONS, 2 if intrinsic else 1),
         ppo=sndjax.Hyperparameters(

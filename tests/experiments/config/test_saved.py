@@ -3,7 +3,8 @@ import dataclasses
 import pytest
 
 from experiments.config.compose import load_config
-from experiments.config.saved import SavedConfig, check_settings, read_saved, run_settings, to_yaml
+from experiments.config.run_settings import check_settings, run_settings
+from experiments.config.saved import SavedConfig, read_saved, to_yaml
 from experiments.system.errors import ConfigError
 
 VENTURE = ["env=Venture", "algo=snd_std"]

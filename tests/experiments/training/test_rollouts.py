@@ -32,7 +32,7 @@ def test_Collector_collect_arrays_equal_those_of_environments_and_policy(groups)
     state = init_states(agent, [0, 1], example)
     actor = sndjax.Actor(state.policy, state.observations, state.key)
     act = jax.jit(map_over_seeds(functools.partial(sndjax.act, agent), 2, shared=1))
-    collector = Collector(pools, act, 4, 16, 2)
+    collector = Collector(pools, act, 4, 16, agent.network)
     frame = plain.reset()
     first = np.ones((2, 4), bool)
     for _ in range(2):  # the second rollout begins where the first ended

@@ -18,8 +18,9 @@ def collectors(config):
     """Return both collectors, each with environments of its own, and an actor."""
     experiment, other = build_experiment(config), build_experiment(config)
     state = experiment.init_states()
-    heads = experiment.agent.network.value_heads
-    host = Collector(other.pools, other.act, config.env.stack, config.rollout_length, heads)
+    host = Collector(
+        other.pools, other.act, config.env.stack, config.rollout_length, experiment.agent.network
+    )
     actor = sndjax.Actor(state.policy, state.observations, state.key)
     return experiment.make_collector(), host, actor
 
