@@ -26,7 +26,7 @@ from sndjax.algorithms import (
     sp_vic,
     sp_vinv,
 )
-from sndjax.architectures import ATARI, PROCGEN, SMALL, VECTOR, Architecture
+from sndjax.architectures import ATARI, PROCGEN, SMALL, VECTOR, Architecture, size_for
 from sndjax.autoreset import from_autoreset
 from sndjax.bonus_record import Bonus, BonusSettings, BonusState
 from sndjax.checks import check_rollout
@@ -169,6 +169,7 @@ __all__ = [
     "rnd",
     "scale_reward",
     "simhash",
+    "size_for",
     "skip_nonfinite",
     "slice_transitions",
     "snd_barlow",

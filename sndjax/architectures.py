@@ -49,9 +49,9 @@ class Architecture(NamedTuple):
         """Return the convolutions of RND; with a patch layer, those of the other networks."""
         if self.patch or not self.channels:
             return self.convolutions(self.last)
-        first, *middle, last = self.rnd_channels
-        strided = (Convolution(channels, stride=2) for channels in middle)
-        return (Convolution(first, 8, 4, 2), *strided, Convolution(last))
+        first, *others = self.rnd_channels
+        strided = (Convolution(channels, stride=2) for channels in others[:-1])
+        return (Convolution(first, 8, 4, 2), *strided, *map(Convolution, others[-1:]))
 
 
 ATARI = Architecture()

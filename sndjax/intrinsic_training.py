@@ -33,10 +33,14 @@ class IntrinsicConfig(NamedTuple):
     epochs: int = 1  # passes over a rollout
     anneal_iterations: int = 0  # the learning rate falls to 0 over so many; 0: it stays
     adam_eps: float = 1e-8
+    max_grad_norm: float | None = None  # larger gradients are scaled down; None: they are not
 
     def optimizer(self) -> optax.GradientTransformation:
         """Return Adam for the module."""
-        return optax.adam(self.learning_rate, eps=self.adam_eps)
+        adam = optax.adam(self.learning_rate, eps=self.adam_eps)
+        if self.max_grad_norm is None:
+            return adam
+        return optax.chain(optax.clip_by_global_norm(self.max_grad_norm), adam)
 
 
 class IntrinsicTrainState(NamedTuple):

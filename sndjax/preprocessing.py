@@ -10,7 +10,7 @@ from sndjax.convolution import to_float
 from sndjax.statistics import std
 from sndjax.types import RunningStatistics
 
-Preprocess = Literal["none", "mean", "standardize"]
+Preprocess = Literal["none", "mean", "standardize", "standardize_wide"]
 FARTHEST = 5.0  # deviations that a standardized vector is clipped to (Burda et al., 2018)
 
 
@@ -23,6 +23,7 @@ def make_preprocess(
     - `mean`: minus the running mean.
     - `standardize`: minus the running mean, over the running standard deviation, clipped to
       [-1, 1].
+    - `standardize_wide`: the same clipped to [-5, 5] (Burda et al., 2018).
 
     >>> statistics = RunningStatistics(1.0, jnp.array([0.5]), jnp.zeros(1))
     >>> make_preprocess("mean", statistics)(jnp.ones((1, 1)))
@@ -36,7 +37,8 @@ def make_preprocess(
 
     if mode == "mean":
         return centre
-    return lambda frame: jnp.clip(centre(frame) / std(moments)[None], -1.0, 1.0)
+    farthest = FARTHEST if mode == "standardize_wide" else 1.0
+    return lambda frame: jnp.clip(centre(frame) / std(moments)[None], -farthest, farthest)
 
 
 def standardize(

@@ -14,7 +14,7 @@ from sndjax.statistics import (
 )
 from sndjax.types import ReturnStatistics, RunningStatistics
 
-RewardScale = Literal["none", "running_std"]
+RewardScale = Literal["none", "unclipped", "running_std"]
 
 
 def scale_reward(
@@ -28,6 +28,7 @@ def scale_reward(
     """Compute the intrinsic reward of a signal.
 
     - `none` (the thesis): clip(eta * signal, 0, 1).
+    - `unclipped`: eta * signal.
     - `running_std` (Burda et al., 2018): eta * signal over the running standard deviation of
       the signal's discounted sum over time, this rollout included; no clip.
 
@@ -35,7 +36,7 @@ def scale_reward(
       signal: the module's novelty, 0 on reset rows.
       valid: False on reset rows.
       scale: the running scale so far; only `running_std` moves it.
-      mode: "none" or "running_std", see above.
+      mode: "none", "unclipped" or "running_std", see above.
       eta: the scale.
       discount: of the sum, the intrinsic gamma.
 
@@ -51,6 +52,8 @@ def scale_reward(
         scale = update_return_statistics(scale, signal, valid, discount)
         return eta * signal / std(scale.moments), jnp.zeros_like(signal), scale
     reward = eta * signal
+    if mode == "unclipped":
+        return reward, jnp.zeros_like(signal), scale
     return jnp.clip(reward, 0.0, 1.0), (reward > 1).astype(reward.dtype), scale
 
 

@@ -26,7 +26,6 @@ from sndjax import (
 )
 from sndjax.grid import OBJECTIVES, SIGNALS
 from sndjax.networks import convolve  # before it is replaced
-from sndjax.signals.ngu import Kernel
 
 # Signals with a loss of their own, and the name of its metric.
 TRAINED = dict.fromkeys(("distillation", "noveld", "ngu"), "distillation_loss")
@@ -61,7 +60,7 @@ class Case(NamedTuple):
 
 
 # Episodes here are too short for ten neighbours, before which nothing is novel.
-TOY_OPTIONS = {"ngu": {"kernel": Kernel(neighbours=2)}}
+TOY_OPTIONS = {"ngu": {"neighbours": 2}}
 
 
 @functools.lru_cache(maxsize=1)

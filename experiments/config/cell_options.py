@@ -13,7 +13,7 @@ from typing import Any, get_args
 from ..system.errors import ConfigError
 from .constructor_options import Constructor, read_constructor, with_default
 from .library import algorithm_table, distillation_table, library_path, module_names
-from .schema import AlgoConfig, Config
+from .schema import AlgoConfig, Config, option
 from .user_function import split_reference
 from .validation import check_range, unknown_name_error, whole_number
 
@@ -32,7 +32,35 @@ def library_constructor(kind: str, name: str) -> Constructor:
         return Constructor("The encoder stays random.", {})
     if name not in module_names(f"{kind}s"):
         raise unknown_name_error(kind, name, module_names(f"{kind}s"))
-    return read_constructor(library_path() / f"{kind}s" / f"{name}.py", name)
+    made = read_constructor(library_path() / f"{kind}s" / f"{name}.py", name)
+    assert made is not None, f"sndjax/{kind}s/{name}.py defines no function {name}"
+    return made
+
+
+def module_constructor(reference: str) -> Constructor:
+    """Return the user's function, without options where it cannot be read.
+
+    A stored run may name a file that is gone; where it is needed it is refused by name.
+
+    Args:
+      reference: FILE.py:FUNCTION.
+    """
+    nothing = Constructor("", {})
+    try:
+        path, name = split_reference("algo.module", reference)
+        return read_constructor(Path(path), name) or nothing
+    except ConfigError:
+        return nothing
+
+
+def library_options() -> set[str]:
+    """Return the dotted names of the options of every objective and signal of the library."""
+    return {
+        f"{kind}.{key}"
+        for kind in ("objective", "signal")
+        for name in module_names(f"{kind}s")
+        for key in library_constructor(kind, name).options
+    }
 
 
 def changed_defaults(algo: AlgoConfig) -> dict[str, Mapping[str, Any]]:
@@ -49,14 +77,9 @@ def changed_defaults(algo: AlgoConfig) -> dict[str, Mapping[str, Any]]:
 
 
 def cell_options(algo: AlgoConfig) -> dict[str, Field[Any]]:
-    """Return the options of an algorithm's constructors by their dotted names.
-
-    Raises:
-      ConfigError: the user's file cannot be read, or has no such function.
-    """
+    """Return the options of an algorithm's constructors by their dotted names."""
     if algo.module is not None:
-        path, name = split_reference("algo.module", algo.module)
-        made = read_constructor(Path(path), name)
+        made = module_constructor(algo.module)
         return {f"module.{key}": entry for key, entry in made.options.items()}
     row = algorithm_table().get(algo.name)
     if row is not None and row.objective is None:  # the baseline
@@ -77,6 +100,8 @@ def complete_config(config: Config) -> Config:
       ConfigError: there is no such option, or it may not have this value.
     """
     known = cell_options(config.algo)
+    if config.algo.module is not None and not Path(config.algo.module.rpartition(":")[0]).is_file():
+        known = {f"module.{key}": untyped(key, value) for key, value in config.module.items()}
     for group in CELL_GROUPS:
         for key in getattr(config, group):
             if f"{group}.{key}" not in known:
@@ -91,6 +116,13 @@ def complete_config(config: Config) -> Config:
         weight = 2.0 if config.combine == "streams" else 1.0
         made["ppo"] = replace(config.ppo, ext_weight=weight)  # type: ignore[assignment]
     return replace(config, **made)  # type: ignore[arg-type]
+
+
+def untyped(name: str, value: Any) -> Field[Any]:
+    """Return the option of a function whose file is gone: it has the type of its value."""
+    made = option(value, "")
+    made.name, made.type = name, type(value)
+    return made
 
 
 def unknown_option(algo: AlgoConfig, group: str, key: str, known: Mapping[str, Any]) -> ConfigError:

@@ -205,4 +205,5 @@ def override_line(override: Override) -> str:
     """Return the override in Hydra's syntax; keys of free options may be new."""
     assert override.input_line is not None
     text = override.input_line.lstrip("+")
-    return f"++{text}" if override.key_or_group.startswith(FREE_OPTIONS) else text
+    free = f"{override.key_or_group}.".startswith(FREE_OPTIONS)
+    return f"++{text}" if free else text

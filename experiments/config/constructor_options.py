@@ -68,18 +68,18 @@ def read_source(path: Path) -> ast.Module:
         raise ConfigError(f"{path} cannot be read: {error}") from None
 
 
-def read_constructor(path: Path, name: str) -> Constructor:
-    """Return the docstring and the options of a function.
+def read_constructor(path: Path, name: str) -> Constructor | None:
+    """Return the docstring and the options of a function; None if the file does not define it.
 
     Arguments without a default, and those whose default or type is none of true and false, numbers
-    and words, are not options.
+    and words, are not options. A name that the file imports or makes otherwise is not found.
 
     Args:
       path: the file.
       name: of the function.
 
     Raises:
-      ConfigError: the file cannot be read, or defines no such function.
+      ConfigError: the file cannot be read.
     """
     for node in read_source(path).body:
         if isinstance(node, ast.FunctionDef) and node.name == name:
@@ -91,7 +91,7 @@ def read_constructor(path: Path, name: str) -> Constructor:
                 if made is not None:
                     found[argument.arg] = made
             return Constructor(text.partition("\nArgs:")[0].partition(">>>")[0].strip(), found)
-    raise ConfigError(f"{path} has no function {name}")
+    return None
 
 
 def arguments_with_defaults(node: ast.FunctionDef) -> Iterator[tuple[ast.arg, ast.expr]]:

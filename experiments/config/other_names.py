@@ -41,6 +41,7 @@ ALGORITHM = Hint(("algo",))
 DIRECTORY = Hint(("run_dir",))
 CHECKPOINTS = Hint(("checkpoint_every",), "counted in iterations")
 TRACKER = Hint(("tracker",), "mlflow or wandb")
+ANNEAL = Hint(("ppo.anneal_learning_rate", "algo.anneal_learning_rate"))
 EPISODES = Hint(("episodes",))
 
 # The last part of the other name, in lower case with underscores -> the hint.
@@ -69,6 +70,12 @@ OTHER_NAMES: dict[str, Hint] = {
     **dict.fromkeys(("ext_coef", "ext_coeff", "ext_reward_coef"), Hint(("ppo.ext_weight",))),
     **dict.fromkeys(("int_coef", "int_coeff", "int_reward_coef"), Hint(("ppo.int_weight",))),
     **dict.fromkeys(("beta", "intrinsic_coef", "intrinsic_scale"), Hint(("algo.eta",))),
+    "gradient": Hint(("signal.gradient",)),
+    "activation": Hint(("network.module.activation", "network.policy.activation")),
+    **dict.fromkeys(("anneal_lr", "lr_anneal", "linear_lr_schedule"), ANNEAL),
+    **dict.fromkeys(("clip_vloss", "clip_range_vf", "value_clip_eps"), Hint(("ppo.value_clip",))),
+    **dict.fromkeys(("hidden_sizes", "layer_size", "hidden_dim"), Hint(("network.hidden",))),
+    **dict.fromkeys(("update_prop", "rnd_update_proportion"), Hint(("signal.update_proportion",))),
     **dict.fromkeys(("total_timesteps", "timesteps", "num_timesteps"), STEPS),
     **dict.fromkeys(("total_env_steps", "num_env_steps", "num_frames", "total_frames"), STEPS),
     **dict.fromkeys(("max_steps", "steps", "max_timesteps", "env_steps"), STEPS),

@@ -10,6 +10,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
 from ..system.errors import ConfigError
+from .cell_options import library_options
 from .command_text import option_text, shell_text
 from .validation import (
     ALL_GROUPS,
@@ -66,7 +67,7 @@ def parse_overrides(arguments: list[str]) -> dict[str, Override]:
             hint = text_hint(argument) or f"for a sweep: -m {shell_text(argument)}"
             raise ConfigError(f"'{argument}' names several values; give one ({hint})")
         if key not in known and not key.startswith(FREE_OPTIONS):
-            raise unknown_name_error("option", key, known)
+            raise unknown_name_error("option", key, known | library_options())
         if key in parsed:
             raise ConfigError(f"'{key}' is given twice")
         parsed[key] = typed_override(override)
@@ -158,7 +159,9 @@ def whole_list(key: str, written: str, value: list[Any]) -> Override:
             raise ValueError
         entries = [whole_number(str(entry)) for entry in value]
     except ValueError:
-        raise ConfigError(f"{key}={written}: must be a list of whole numbers") from None
+        raise ConfigError(
+            f"{key}={written}: must be a list of whole numbers, such as {key}=[64,64]"
+        ) from None
     return parse_argument(f"{key}=[{','.join(map(str, entries))}]")
 
 

@@ -15,7 +15,6 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
 from ..system.files import is_file
-from .cell_options import complete_config
 from .command_text import code_options, shell_text
 from .config_checks import validate_config
 from .earlier_options import rename_earlier
@@ -99,11 +98,9 @@ def parse_saved(text: str, where: str) -> SavedConfig:
             raise ConfigError("it holds a reference ('${'); stored values must be literal")
         found = whole_numbers(rename_earlier(found))
         config = OmegaConf.to_object(OmegaConf.merge(config_schema(), found))
-        assert isinstance(config, Config)
-        if config.algo.module is None:  # a module's file is not read before it is trusted
-            config = complete_config(config)
     except Exception as error:  # an untrusted file may cause any exception
         raise ConfigError(f"{where} cannot be read: {innermost_reason(error)}") from None
+    assert isinstance(config, Config)
     return SavedConfig(config, {str(name): str(version) for name, version in made_with.items()})
 
 
@@ -174,6 +171,7 @@ def apply_overrides(stored: Config, overrides: dict[str, Override], what: str) -
       ConfigError: an option differs from the stored configuration; the message names the first.
     """
     check_code(stored, overrides, what)
+    stored = validate_config(stored)
     values = OmegaConf.create(asdict(stored))
     changed = {}
     for key, override in overrides.items():
@@ -216,6 +214,12 @@ def check_extension(stored: Config, config: Config, what: str) -> Config:
             f"{what}: the run has total_steps={stored.total_steps}; "
             "it can be extended, not shortened"
         )
+    anneals = config.ppo.anneal_learning_rate or config.algo.anneal_learning_rate
+    if anneals and config.total_steps != stored.total_steps:
+        raise ConfigError(
+            f"{what}: the learning rate falls to 0 over total_steps={stored.total_steps}; a run "
+            "that anneals cannot be extended"
+        )
     return config
 
 
@@ -247,9 +251,11 @@ def load_resumed_or_new(config: Config) -> Config:
     if not is_file(path):
         return replace(config, resume=None)
     stored = read_saved(path).config
+    if stored.algo.module == config.algo.module:  # else the file that it names is not trusted
+        stored = validate_config(stored)
     before, wanted = run_settings(stored), run_settings(config)
     for name, now in wanted.items():
-        was = before[name]
+        was = before.get(name)
         if was != now:
             raise ConfigError(
                 f"resume=auto: the run in {config.run_dir} has {name}={was}, not {now}"

@@ -86,8 +86,9 @@ class AlgoConfig:
     eta: float = option(0.5, "scale of the intrinsic reward", low=0)
     reward_scale: str = option(
         "none",
-        "none: clip(eta * signal, 0, 1); running_std: eta * signal / std of its discounted return",
-        choices=("none", "running_std"),
+        "none: clip(eta * signal, 0, 1); unclipped: eta * signal; running_std: eta * signal / std "
+        "of its discounted return",
+        choices=("none", "unclipped", "running_std"),
     )
     learning_rate: float = option(
         1e-4, "learning rate of Adam for the intrinsic module", above=0, high=1
@@ -99,10 +100,14 @@ class AlgoConfig:
         False, "let the module's learning rate fall linearly to 0 over total_steps"
     )
     adam_eps: float = option(1e-8, "epsilon of the module's Adam", above=0, high=1)
+    max_grad_norm: float | None = option(
+        None, "largest gradient norm of the module; default: any", above=0
+    )
     preprocess: str = option(
         "none",
-        "what is done to frames before the intrinsic module",
-        choices=("none", "mean", "standardize"),
+        "what is done to frames before the intrinsic module; standardize clips to 1 deviation, "
+        "standardize_wide to 5",
+        choices=("none", "mean", "standardize", "standardize_wide"),
     )
     pairing: str = option(
         "asymmetric",

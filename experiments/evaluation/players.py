@@ -92,9 +92,10 @@ def load_players(run: Path, trust: tuple[str, ...] = ()) -> list[Player]:
     """
     if not (run / CONFIG).is_file():
         raise ConfigError(f"{run}: there is no run (no {CONFIG})")
-    config = validate_config(read_saved(run / CONFIG).config)
+    config = read_saved(run / CONFIG).config
     named: dict[str, Any] = {"algo.module": config.algo.module, "env.id": config.env.id}
     check_code(config, {k: v for k, v in named.items() if v in trust}, str(run))
+    config = validate_config(config)
     config = replace(config, env=whole_games(config.env))
     experiment = build_experiment(config, probe=True)
     iteration, states = find_state(run, experiment.state_shapes())

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..config.cell_options import CELL_GROUPS, cell_options
 from ..config.config_checks import validate_config
 from ..config.run_settings import run_settings
 from ..config.saved import CONFIG
@@ -230,7 +231,7 @@ def group_runs(runs: list[RunData]) -> list[RunGroup]:
     groups = []
     for (env, algo), variants in sorted(kinds.items()):
         parsed = [json.loads(text) for text in variants]
-        differing = differing_settings(parsed)
+        differing = differing_settings([runs[0].config for runs in variants.values()])
         for own, same in zip(parsed, variants.values(), strict=True):
             told = " ".join(
                 f"{name.removeprefix('algo.')}={own[name]}" for name in differing if name in own
@@ -243,16 +244,23 @@ def group_runs(runs: list[RunData]) -> list[RunGroup]:
     return groups
 
 
-def differing_settings(parsed: list[dict[str, Any]]) -> list[str]:
-    """Return the names of settings that have several values, sorted.
+def differing_settings(configs: list[Config]) -> list[str]:
+    """Return the names of the settings that have several values, sorted.
 
-    An option of a signal differs only between runs whose signal has it.
+    An option of a constructor counts where a run has another value than the default of its
+    algorithm: the defaults of two signals or objectives differ without anyone's choice.
     """
     values: dict[str, set[str]] = {}
-    for own in parsed:
-        for name, value in own.items():
+    changed: set[str] = set()
+    for config in configs:
+        defaults = {name: entry.default for name, entry in cell_options(config.algo).items()}
+        for name, value in grouping_settings(config).items():
             values.setdefault(name, set()).add(json.dumps(value, sort_keys=True))
-    return sorted(name for name, several in values.items() if len(several) > 1)
+            if name in defaults and value != defaults[name]:
+                changed.add(name)
+    several = {name for name, found in values.items() if len(found) > 1}
+    own = {name for name in several if name.partition(".")[0] in CELL_GROUPS}
+    return sorted((several - own) | (changed if len(configs) > 1 else set()))
 
 
 def split_repeats(seeds: list[SeedData]) -> tuple[list[SeedData], list[SeedData]]:

@@ -63,6 +63,7 @@ def make_intrinsic_config(
         epochs=algo.epochs,
         anneal_iterations=config.iterations if algo.anneal_learning_rate else 0,
         adam_eps=algo.adam_eps,
+        max_grad_norm=algo.max_grad_norm,
     )
 
 

@@ -81,6 +81,11 @@ def announcements(config: Config, agent: AgentSpec, reader: Reader, done: int) -
             "the bonus has no published scale: unless its share of clipped rewards stays low, take "
             "algo.reward_scale=running_std"
         )
+    if config.combine == "product":
+        yield (
+            "combine=product: the reward is 0 wherever the external reward is; on a task that is "
+            "rewarded at its goal alone nothing explores until the goal is found by chance"
+        )
     if 0 < done < config.iterations:
         kept = config.env.suite in JAX_SUITES
         how = "go on where they were" if kept else "begin new episodes"

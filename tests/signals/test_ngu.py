@@ -12,7 +12,16 @@ from sndjax.signals.ngu import episodic_rewards as eager_rewards
 
 episodic_rewards = jax.jit(eager_rewards, static_argnums=3)
 VECTOR = KINDS[2]
-LIFETIME = Kernel(distance_decay=1.0, full_memory=False)  # as before there were these options
+PAPER = Kernel(
+    neighbours=10,
+    epsilon=1e-4,
+    cluster=0.008,
+    constant=1e-3,
+    max_similarity=8.0,
+    distance_decay=0.99,
+    full_memory=True,
+)
+LIFETIME = PAPER._replace(distance_decay=1.0, full_memory=False)  # before there were these options
 
 
 def empty(envs, capacity, width):
@@ -64,7 +73,7 @@ class InNumpy:
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([3, 64]),
-    st.sampled_from([Kernel(neighbours=2), LIFETIME._replace(neighbours=2)]),
+    st.sampled_from([PAPER._replace(neighbours=2), LIFETIME._replace(neighbours=2)]),
 )
 def test_episodic_rewards_three_rollouts_with_full_memory_equals_algorithm_1(
     seed, capacity, kernel
@@ -88,7 +97,7 @@ def test_episodic_rewards_ten_equal_neighbours_is_one_over_root_of_ten():
     no = jnp.zeros((20, 1), bool)
     made = rollout(VECTOR, np.random.default_rng(0))
     made = made._replace(first=no.at[0].set(True), done=no, valid=~no)
-    novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, Kernel())
+    novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, PAPER)
     wanted = [1 / (np.sqrt(min(k, 10)) + 1e-3) for k in range(1, 21)]
     np.testing.assert_allclose(novelty[:, 0], [0] * 9 + wanted[9:], rtol=1e-5)
     novelty, _ = episodic_rewards(empty(1, 32, 2), jnp.ones((21, 1, 2)), made, LIFETIME)
@@ -106,7 +115,7 @@ def test_episodic_rewards_d_m_follows_an_encoder_whose_scale_shrinks():
     made = rollout(VECTOR, rng)
     made = made._replace(first=no.at[0].set(True), done=no, valid=~no)
     later = {}
-    for name, kernel in (("moving", Kernel()), ("lifetime", Kernel(distance_decay=1.0))):
+    for name, kernel in (("moving", PAPER), ("lifetime", PAPER._replace(distance_decay=1.0))):
         memory, before = empty(4, 64, 3), None
         for scale in (1.0, *6 * [0.1]):
             z = jnp.asarray(scale * rng.normal(size=(201, 4, 3)), jnp.float32)
@@ -128,9 +137,9 @@ def test_ngu_reward_is_product_of_episodic_reward_and_lifelong_factor():
     no = jnp.zeros((8, 4), bool)
     made = rollout(VECTOR, np.random.default_rng(0))
     made = made._replace(first=no.at[0].set(True), done=no, valid=(~no).at[3, 1].set(False))
-    kernel = Kernel(neighbours=2)
+    kernel = PAPER._replace(neighbours=2)
     module = make_module(
-        "vicreg", "ngu", VECTOR.actions, VECTOR.size, signal_options={"kernel": kernel}
+        "vicreg", "ngu", VECTOR.actions, VECTOR.size, signal_options={"neighbours": 2}
     )
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     reward, after = jax.jit(module.reward)(params, state, made, jax.random.key(1))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from experiments.config import compose as config
 from experiments.config import schema as options
 from experiments.config import validation as validate
-from experiments.config.help import run_help
+from experiments.config.option_help import run_help
 from experiments.config.schema import Config, PPOConfig
 from experiments.system.errors import ConfigError
 from sndjax import VECTOR, Hyperparameters
@@ -48,7 +48,8 @@ def test_load_config_each_environment_has_its_published_settings(env):
         assert made.env.random_action == (0 if atari else 0.01)
         assert (made.ppo.gamma_ext, made.ppo.ext_weight) == (0.998, 2)
         assert made.algo.preprocess == ("mean" if algo in ("rnd", "qrnd") else "none")
-        assert made.algo.gradient == ("detached" if algo == "icm" else "symmetric")
+        if made.algo.signal == "prediction":
+            assert made.signal["gradient"] == ("detached" if algo == "icm" else "symmetric")
     baseline = config.load_config([f"env={env}", "algo=ppo"])
     assert baseline.ppo.gamma_ext == (0.998 if env == "Gravitar" else 0.99)
     assert baseline.ppo.ext_weight == 1
@@ -67,7 +68,15 @@ def test_load_config_default_is_the_configuration_of_the_thesis():
 
 def test_PPOConfig_defaults_equal_those_of_the_library():
     ours = {f.name: f.default for f in dataclasses.fields(PPOConfig)}
-    assert ours == Hyperparameters()._asdict()
+    theirs = Hyperparameters()._asdict()
+    # How rewards are combined and how long a run is are not options of PPO alone.
+    assert set(theirs) - set(ours) == {"combine", "anneal_iterations"}
+    assert set(ours) - set(theirs) == {"anneal_learning_rate"}
+    same = (set(ours) & set(theirs)) - {"ext_weight"}
+    assert {name: ours[name] for name in same} == {name: theirs[name] for name in same}
+    assert config.load_config(VENTURE).ppo.ext_weight == theirs["ext_weight"]
+    summed = config.load_config([*VENTURE, "combine=sum"])
+    assert summed.ppo.ext_weight == 1
     assert {*NAMED, "grid", "module"} == set(validate.group_choices("algo"))
     assert set(OBJECTIVES) == set(options.OBJECTIVES)
     assert set(SIGNALS) == set(options.SIGNALS)
@@ -125,12 +134,16 @@ def test_load_config_preset_is_the_same_for_all_and_options_override_it():
     )
     made = [load(name) for name in names]
     first = made[0]
-    assert (first.network, first.num_envs, first.total_steps) == ("small", 32, 400_000)
+    assert (first.network.name, first.num_envs, first.total_steps) == ("small", 32, 400_000)
     for other in made:
-        assert (other.ppo, other.network, other.num_envs) == (first.ppo, "small", 32)
+        assert (other.ppo, other.network, other.num_envs) == (first.ppo, first.network, 32)
         assert (other.algo.minibatch_size, other.total_steps) == (256, 400_000)
     baseline = load("ppo")
-    assert (baseline.algo.eta, baseline.network, baseline.ppo.minibatch_size) == (0, "small", 256)
+    assert (baseline.algo.eta, baseline.network.name, baseline.ppo.minibatch_size) == (
+        0,
+        "small",
+        256,
+    )
     assert load("snd_vic", "num_envs=8", "algo.eta=3").num_envs == 8
     assert load("snd_vic", "algo.eta=3").algo.eta == 3
 
@@ -173,7 +186,9 @@ REFUSED = [
     ),
     (["env=Venture", "algo=grid", "algo.signal=re3", "algo.objective=vic"], "did you mean vicreg"),
     (["env=Venture", "algo=icm", "algo.pairing=relu"], "no predictor network"),
-    ([*VENTURE, "algo.gradient=detached"], "no forward loss"),
+    ([*VENTURE, "signal.gradient=detached"], "signal distillation has no such option"),
+    (["env=Venture", "algo=ppo", "combine=sum"], "algo=ppo has no intrinsic reward"),
+    (["env=Venture", "algo=ppo", "network.module.features=8"], "algo=ppo has no intrinsic module"),
     ([*VENTURE, "ppo.published_mask=true"], "only with algo=ppo"),
     ([*VENTURE, "algo.module=x.py:f"], "goes with algo=module"),
     (["env=Venture", "algo=module"], "goes with algo=module"),

@@ -3,13 +3,14 @@ from dataclasses import fields
 import pytest
 
 from experiments import evaluate, record
+from experiments.config.cell_options import library_options
 from experiments.config.other_names import OTHER_NAMES
 from experiments.config.overrides import parse_overrides
 from experiments.config.tool_options import parse_arguments
 from experiments.config.validation import ALL_GROUPS, config_options
 from experiments.system.errors import ConfigError
 
-RUN = {*ALL_GROUPS, *(name for name, _ in config_options())}
+RUN = {*ALL_GROUPS, *(name for name, _ in config_options()), *library_options()}
 TOOLS = {entry.name for tool in (evaluate, record) for entry in fields(tool.Options)}
 
 # Names in CleanRL's, Stable-Baselines3's and PureJaxRL's scripts, and what they are here.

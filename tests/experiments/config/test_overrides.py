@@ -31,6 +31,10 @@ def test_parse_overrides_list_or_mapping_is_refused_with_what_to_write(key, valu
     if option_kinds().get(key) is dict and value.startswith("{"):
         parse_overrides([f"{key}={value}"])
         return
+    if option_kinds().get(key) is list and value in ("[]", "[1,2]"):
+        (made,) = parse_overrides([f"{key}={value}"]).values()
+        assert made.value() == ([1, 2] if value == "[1,2]" else [])
+        return
     with pytest.raises(ConfigError) as refusal:
         parse_overrides([f"{key}={value}"])
     message = str(refusal.value)

@@ -93,8 +93,10 @@ def files(path):
         ["algo=snd_vic", "num_seeds=2"],
         # Episodic memory, running scales, stacks, random numbers in the loss.
         ["algo=grid", "algo.objective=contrastive", "algo.signal=ngu", "env.stack=3"],
+        # A recurrent state within episodes, statistics of external rewards.
+        ["algo=rnd", "network.memory=gru", "combine=sum", "ppo.normalize_rewards=true"],
     ],
-    ids=["two_seeds", "episodic"],
+    ids=["two_seeds", "episodic", "recurrent"],
 )
 def test_run_resumed_from_a_checkpoint_has_the_bytes_of_one_that_was_not_stopped(algo, tmp_path):
     command = [*OWN, *algo, "checkpoint_every=5"]
@@ -200,8 +202,12 @@ def run_with(path, environment, *arguments):
             ["algo=snd_vic", "num_seeds=2"],
             {"XLA_FLAGS": "--xla_force_host_platform_device_count=4"},
         ),
+        (
+            ["algo=snd_vic", "num_seeds=2", "network.memory=gru"],
+            {"XLA_FLAGS": "--xla_force_host_platform_device_count=4"},
+        ),
     ],
-    ids=["side_by_side", "seeds", "mesh"],
+    ids=["side_by_side", "seeds", "mesh", "recurrent_mesh"],
 )
 def test_run_on_several_devices_equals_the_run_on_one(arguments, environment, tmp_path):
     run_with(tmp_path / "one", {}, *[x for x in arguments if "cores" not in x], "cores=1")
