@@ -159,3 +159,50 @@ def test_train_step_two_seeds_under_vmap_equal_each_by_itself():
     keys = jax.random.split(jax.random.key(0), 2)
     states = jax.jit(jax.vmap(lambda key: init(key, batch.rollout.frames[0])))(keys)
     assert states.policy["params"]["GRUCell_0"]["hn"]["kernel"].shape == (2, 8, 8)
+
+
+def cued_choice(length=4):
+    """Return a task whose first observation names the action that is right at its last step."""
+
+    def look(state):
+        now = jnp.where(state["time"] == 0, state["cue"] * 2 - 1, 0)
+        return jnp.stack([now, state["time"] == length]).astype(jnp.float32)
+
+    def reset(key):
+        state = {"cue": jax.random.bernoulli(key).astype(jnp.int32), "time": jnp.int32(0)}
+        return state, look(state)
+
+    def step(key, state, action):
+        end = state["time"] == length
+        reward = (end & (action == state["cue"])).astype(jnp.float32)
+        state = state | {"time": state["time"] + 1}
+        return state, look(state), reward, end, jnp.zeros((), bool)
+
+    return sndjax.JaxEnvironment(reset, step, num_actions=2)
+
+
+@pytest.mark.parametrize(("memory", "low", "high"), [("gru", 0.95, 1.0), ("none", 0.3, 0.65)])
+def test_a_cue_of_the_first_step_is_remembered_with_a_memory_alone(memory, low, high):
+    """Without a memory no policy is right more often than half of the time."""
+    env, envs, steps = cued_choice(), 64, 18
+    network = sndjax.ActorCritic(SIZE._replace(memory=memory, features=16), 2, 1)
+    hyper = sndjax.Hyperparameters(minibatch_size=steps * 16, learning_rate=5e-3, clip=0.2,
+                                   gamma_ext=0.95, entropy_weight=0.01)  # fmt: skip
+    agent = sndjax.AgentSpec(network, hyper._replace(normalize_advantages=True))
+    live = sndjax.init_environments(env, jax.random.key(1), envs, 1, network)
+    state = sndjax.init_train_state(agent, jax.random.key(0), live.frame)
+    train_step = sndjax.make_train_step(agent)
+
+    @jax.jit
+    def train(state, live):
+        def iterate(carry, key):
+            state, live = carry
+            actor = sndjax.Actor(state.policy, state.observations, state.key)
+            batch, live = sndjax.collect(agent, env, actor, live, key, steps)
+            state, *_ = train_step(state, batch)
+            return (state, live), batch.reward.sum() / batch.rollout.done.sum()
+
+        return jax.lax.scan(iterate, (state, live), jax.random.split(jax.random.key(2), 60))[1]
+
+    right = np.asarray(train(state, live))[-10:].mean()
+    assert low <= right <= high

@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
+from .cell_options import library_options
 from .config_checks import validate_config
 from .earlier_options import loss_weights
 from .jax_suites import JAX_SUITES, check_installed
@@ -91,9 +92,18 @@ def preset_arguments(name: str) -> list[str]:
 
 
 def register_configs() -> None:
-    """Register with Hydra the schema and the configuration of each algorithm in the table."""
+    """Register with Hydra the schema and the configuration of each algorithm in the table.
+
+    A search sets only options that Hydra knows: `constructor_options` names those of objectives and
+    signals for it.
+    """
     store = ConfigStore.instance()
     store.store(name="schema", node=config_schema())
+    names: dict[str, dict[str, None]] = {"objective": {}, "signal": {}}
+    for option in library_options():
+        group, _, name = option.partition(".")
+        names[group][name] = None
+    store.store(name="constructor_options", node=names)
     for name, row in algorithm_table().items():
         if row.objective is not None:  # the baseline is configured in conf/algo/ppo.yaml
             store.store(group="algo", name=name, node=algorithm_node(name))

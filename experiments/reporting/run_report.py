@@ -3,7 +3,15 @@
 import time
 from pathlib import Path
 
-from ..storage.read_runs import RunData, RunGroup, RunReader, find_runs, group_runs
+from ..storage.read_runs import (
+    RunData,
+    RunGroup,
+    RunReader,
+    differing_settings,
+    find_runs,
+    group_runs,
+    grouping_settings,
+)
 from ..system.display import ProgressBars
 from ..system.errors import ConfigError
 from ..system.files import safe_file_name
@@ -60,15 +68,27 @@ def environment_sections(groups: list[RunGroup], out: Path, bars: ProgressBars) 
     return list(sections.values())
 
 
+def shown(setting: str) -> bool:
+    """Return True if a setting that differs between runs has a column in the table of runs.
+
+    Those of the environment, and what the algorithm's name says, have none.
+    """
+    return not (setting.startswith("env.") or setting in ("algo.name", "algo.eta"))
+
+
 def runs_section(runs: list[RunData], groups: list[RunGroup]) -> Section:
-    """Make the section with the table of the runs that were read."""
+    """Make the section with the table of the runs that were read, and what differs between them."""
     repeats = {id(seed) for group in groups for seed in group.repeats}
-    head = ["run", "environment", "algorithm", "seeds", "steps per seed", "finished", "repeats"]
+    names = [name for name in differing_settings([run.config for run in runs]) if shown(name)]
+    head = ["run", "environment", "algorithm", *names]
+    head += ["seeds", "steps per seed", "finished", "repeats"]
     rows = []
     for run in runs:
         config = run.config
+        own = grouping_settings(config)
         whole = run.steps >= config.iterations * config.rows
         name = [str(run.path), config.env.name, config.algo.name]
+        name += [str(own.get(setting, "")) for setting in names]
         again = ", ".join(f"seed {seed.seed}" for seed in run.seeds if id(seed) in repeats)
         rows.append([*name, len(run.seeds), f"{run.steps:,}", "yes" if whole else "no", again])
     note = REPEATS_NOTE if repeats else ""

@@ -150,7 +150,8 @@ def job_name(overrides: Sequence[str], swept: Sequence[str]) -> str:
     >>> job_name(["env=Venture", "algo=rnd", "seed=9", "algo.eta=0.5"], ["seed", "algo.eta"])
     'Venture/rnd/9,algo.eta=0.5'
     """
-    values = {key: str(override.value()) for key, override in parse_sweep(overrides).items()}
+    join = lambda value: "-".join(map(str, value)) if isinstance(value, list) else str(value)
+    values = {key: join(override.value()) for key, override in parse_sweep(overrides).items()}
     env = values.get("env.id", values.get("env", "unnamed"))
     algo = values.get("algo.module", values.get("algo", "unnamed")).rpartition(":")[2]
     others = [f"{key}={quote(values[key], safe='')}" for key in swept if key not in NAME_KEYS]

@@ -3,10 +3,15 @@
 import dataclasses
 
 import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 
-from experiments.config.compose import load_config
+import sndjax
+from experiments.config.cell_options import library_options
+from experiments.config.compose import load_config, register_configs
 from experiments.config.run_settings import check_settings, run_settings
 from experiments.config.saved import SavedConfig, parse_saved, to_yaml
+from experiments.config.validation import CONF
 from experiments.storage.read_runs import differing_settings
 from experiments.system.errors import ConfigError
 from experiments.training.agents import make_intrinsic_config
@@ -54,8 +59,6 @@ def test_defaults_are_those_of_the_algorithm_and_of_the_objectives_experiments()
     assert (rnd["reward_reduction"], rnd["update_proportion"]) == ("half_sum", 0.25)
     for algo in ("rnd", "snd_std", "snd_vinv", "sp", "icm", "snd_byol"):
         plain = module_text([*CAR, f"algo={algo}"])
-        import sndjax
-
         named = getattr(sndjax, algo)(3, VECTOR)
         assert plain == repr(named), algo
 
@@ -151,3 +154,13 @@ def test_differing_settings_names_options_that_differ_where_both_have_them():
         for name in ("none", "vicreg", "st_dim")
     ]
     assert differing_settings(cells) == ["algo.objective"]  # reductions follow the objective
+
+
+def test_every_option_of_a_constructor_is_one_that_a_search_may_set():
+    names = sorted(library_options())
+    assert len(names) > 40
+    register_configs()
+    given = ["env=MountainCar", "algo=rnd", *(f"{name}=1" for name in names)]
+    with initialize_config_dir(str(CONF.resolve()), version_base="1.3"):
+        made = compose("multirun", overrides=given)
+    assert all(OmegaConf.select(made, name) == 1 for name in names)

@@ -31,6 +31,7 @@ from experiments.evaluation.players import (
 from experiments.run import main as train
 from experiments.system.errors import ConfigError
 from sndjax import Rollout
+from sndjax.acting import scale_observations, unroll
 from sndjax.rollout import push_frame, stack_to_channels
 
 CAR = ["env=MountainCar", "num_envs=8", "rollout_length=32", "ppo.minibatch_size=128"]
@@ -76,6 +77,24 @@ def test_play_episodes_greedy_takes_action_with_largest_logit(car):
     )
     np.testing.assert_array_equal(episode.action, jnp.argmax(logits, -1))
     np.testing.assert_allclose(episode.value, value, rtol=1e-4, atol=1e-5)
+
+
+def test_play_episodes_recurrent_policy_remembers_the_episode(tmp_path):
+    task = ["env=envpool", "env.id=CartPole-v1", "algo=rnd", "network.memory=gru"]
+    more = ["network.activation=tanh", "ppo.learning_rate=3e-3"]
+    run = trained(tmp_path / "run", *task, *CAR[1:], *more)
+    player = load_players(run)[0]
+    (episode,) = play_episodes(player, 1, greedy=True)
+    steps, network = len(episode.action), player.agent.network
+    frames = jnp.asarray(episode.frames[:-1])
+    seen = scale_observations(player.agent, frames, player.state.observations)
+    first = jnp.arange(steps)[:, None] == 0
+    start = network.initial_memory(1)
+    logits, value, _ = unroll(network, player.state.policy, seen, start, first)
+    np.testing.assert_array_equal(np.argmax(logits, axis=-1), episode.action)
+    np.testing.assert_allclose(value, episode.value, rtol=1e-4, atol=1e-5)
+    forgetful, _ = network.apply(player.state.policy, seen)
+    assert np.abs(logits - forgetful).max() > 0.01
 
 
 def test_episode_novelty_equals_the_reward_of_the_module(car):

@@ -190,6 +190,21 @@ def test_report_seeds_that_end_at_different_steps_says_at_which(tmp_path):
     assert row["seeds end at, million steps"] == "0.016 and 0.577"
 
 
+def test_report_of_a_sweep_has_a_column_for_each_setting_that_differs(tmp_path):
+    cell = ["env=MountainCar", "algo=grid", "algo.objective=none", "algo.signal=noveld"]
+    for i, more in enumerate((["signal.alpha=0.3"], ["signal.alpha=0.5", "network.hidden=[8]"])):
+        made(tmp_path / "runs" / str(i), [*cell, *more], {0: [(64, 1.0, 0.0)]})
+    assert main([str(tmp_path / "runs"), f"out={tmp_path / 'out'}"]) == 0
+    with (tmp_path / "out" / "runs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["signal.alpha"], row["network.hidden"]) for row in rows] == [
+        ("0.3", "None"),
+        ("0.5", "[8]"),
+    ]
+    assert not {"algo.signal", "signal.centre", "env.id"} & set(rows[0])
+    assert "signal.alpha" in (tmp_path / "out" / "index.html").read_text()
+
+
 def test_report_runs_of_equal_length_says_nothing_of_steps(runs, tmp_path):
     assert main([str(runs), f"out={tmp_path / 'out'}"]) == 0
     page = (tmp_path / "out" / "index.html").read_text()

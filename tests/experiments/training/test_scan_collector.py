@@ -30,6 +30,7 @@ def collectors(config):
     [
         ["env=MountainCar", *SND, "env.options.max_episode_steps=30"],
         ["env=MountainCar", *RND, "num_seeds=3", "env.options.max_episode_steps=30"],
+        ["env=MountainCar", *RND, "network.memory=gru", "env.options.max_episode_steps=30"],
         ["env=MiniGrid", "env.id=MiniGrid-DoorKey-5x5-v0", "algo=ppo", "env.stack=3"],
         ["env=envpool", "env.id=FrozenLake-v1", "algo=ppo", "num_seeds=2"],
         ["env=envpool", "env.id=CartPole-v1", *RND, "env.reward=goal"],
