@@ -6,7 +6,7 @@ from typing import Any
 from ..system.errors import ConfigError
 from .cell_options import CELL_GROUPS, complete_config
 from .library import algorithm_table, has_predictor
-from .schema import Config
+from .schema import Config, PPOConfig
 from .validation import (
     check_range,
     config_options,
@@ -35,6 +35,7 @@ def validate_config(config: Any) -> Config:
     check_minibatches(config)
     check_rewards(config)
     check_networks(config)
+    check_without_effect(config)
     if config.algo.pairing != "asymmetric" and not has_predictor(config.algo.signal):
         raise ConfigError(f"algo.pairing: algo={config.algo.name} has no predictor network")
     if config.seed + config.num_seeds > 2**31:
@@ -100,6 +101,37 @@ def check_rewards(config: Config) -> None:
         )
     elif config.ppo.ext_weight == config.ppo.int_weight == 0:
         raise ConfigError("ppo.ext_weight and ppo.int_weight are both 0: nothing to learn from")
+
+
+def check_without_effect(config: Config) -> None:
+    """Check that no option is given whose switch is off.
+
+    Raises:
+      ConfigError: there is one; the message names the switch.
+    """
+    ppo = config.ppo
+    for name, given, switch, on in (
+        (
+            "ppo.normalize_over=minibatch",
+            ppo.normalize_over != "rollout",
+            "ppo.normalize_advantages=true",
+            ppo.normalize_advantages,
+        ),
+        (
+            "ppo.clip_int_value=false",
+            not ppo.clip_int_value,
+            "ppo.value_clip=VALUE",
+            ppo.value_clip is not None,
+        ),
+        (
+            f"ppo.ext_exponent={ppo.ext_exponent}",
+            ppo.ext_exponent != PPOConfig().ext_exponent,
+            "combine=product",
+            config.combine == "product",
+        ),
+    ):
+        if given and not on:
+            raise ConfigError(f"{name} has no effect without {switch}")
 
 
 def check_networks(config: Config) -> None:
