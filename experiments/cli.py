@@ -81,7 +81,7 @@ def split_command(arguments: list[str]) -> tuple[str, list[str]]:
 
 def main(arguments: list[str]) -> int:
     """Run the command that the arguments name, and return its exit status."""
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
+    if not arguments or (arguments[0] in ("-h", "--help", "help") and len(arguments) == 1):
         print(help_text())
         return 0 if arguments else 2
     if missing := [package for package in LAB_PACKAGES if find_spec(package) is None]:

@@ -37,8 +37,8 @@ def remember(
         return cast(tuple[Array, Array], cell(hidden, x))
 
     scan = nn.scan(step, variable_broadcast="params", split_rngs={"params": False})
-    hidden, x = scan(cell, hidden.astype(x.dtype), (x.reshape(*first.shape, -1), first))
-    return hidden, x.reshape(first.size, -1)
+    after, x = scan(cell, hidden.astype(x.dtype), (x.reshape(*first.shape, -1), first))
+    return after.astype(hidden.dtype), x.reshape(first.size, -1)
 
 
 class ActorCritic(nn.Module):
@@ -91,6 +91,11 @@ class ActorCritic(nn.Module):
         torso = Torso(convolutions, size.hidden, ROOT_2, size.activation, size.layer_norm)
         x = norm(linear(size.features, ROOT_2)(torso(stacked)[0]))
         self.sow("intermediates", "torso", x)
+        if (hidden is None) != (size.memory == "none"):
+            raise ValueError(
+                f"memory={size.memory!r} and {'no' if hidden is None else 'a'} recurrent state: "
+                "begin with network.initial_memory(N), as init_environments(..., network=) does"
+            )
         if hidden is not None:
             cell = CELLS[size.memory](size.features, recurrent_kernel_init=orthogonal(1.0))
             hidden, x = remember(cell, hidden, x, first)

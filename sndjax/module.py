@@ -179,7 +179,7 @@ def module_loss(
     spread = feature_std_over_batch(lax.stop_gradient(features.z), batch.valid)
     metrics = metrics | {"feature_spread": spread}
     if parts.objective is None:
-        return total, metrics
+        return parts.weights[1] * total, metrics
     loss: Callable[..., Loss] = parts.objective.loss
     target: dict[str, Any] = {}
     if state.slow is not None:

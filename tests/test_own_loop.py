@@ -311,7 +311,7 @@ def test_minibatch_rows_hold_every_row_once_in_minibatches_of_equal_size(rows, s
 def test_size_for_follows_the_shape_of_a_frame():
     assert size_for((84, 84, 1)) == sndjax.ATARI
     assert size_for((64, 64, 3)) == sndjax.PROCGEN
-    assert size_for((64, 64, 3), small=True) == sndjax.SMALL
+    assert size_for((64, 64, 3), "small") == sndjax.SMALL
     for shape in [(2,), (7, 7, 3), (8, 8)]:
         assert size_for(shape) == sndjax.VECTOR
 
@@ -423,14 +423,16 @@ def test_bonus_unknown_names_and_settings_are_answered_with_those_there_are(unch
         bonus("rnd", A, example, lr=1.0)
     with pytest.raises(ValueError, match="reset='nextstep'; it is one of same_step, next_step"):
         bonus("rnd", A, example, reset="nextstep")
-    with pytest.raises(ValueError, match="reward_scale='std'; it is one of none, running_std"):
+    with pytest.raises(
+        ValueError, match="reward_scale='std'; it is one of none, unclipped, running_std"
+    ):
         bonus("rnd", A, example, reward_scale="std")
     with pytest.raises(ValueError, match="epochs=0; it must be 1 or more"):
         bonus("rnd", A, example, epochs=0)
     with pytest.raises(ValueError, match="num_actions=0; it must be 1 or more"):
         bonus("rnd", 0, example)
     with pytest.raises(ValueError, match="gradient='no'; it is one of symmetric, detached"):
-        bonus("icm", A, example, module_options={"gradient": "no"})
+        bonus("icm", A, example, module_options={"signal_options": {"gradient": "no"}})
     with pytest.raises(ValueError, match="unknown signal 'novel'; there is"):
         bonus("none+novel", A, example)
     with pytest.raises(ValueError, match="made already"):

@@ -147,6 +147,16 @@ def test_train_step_moves_every_weight_of_the_cell_and_keeps_the_state_of_the_ro
     assert live.hidden.shape == (ENVS, 8)
 
 
+def test_unroll_without_the_state_that_the_policy_needs_is_refused():
+    agent = agent_of("gru")
+    env = corridor()
+    live = sndjax.init_environments(env, jax.random.key(1), ENVS, agent.stack.size)
+    state = sndjax.init_train_state(agent, jax.random.key(0), live.frame)
+    actor = sndjax.Actor(state.policy, state.observations, state.key)
+    with pytest.raises(ValueError, match=r"begin with network\.initial_memory"):
+        sndjax.collect(agent, env, actor, live, jax.random.key(2), STEPS)
+
+
 def test_train_step_two_seeds_under_vmap_equal_each_by_itself():
     agent = agent_of("gru")
     state, batch, _ = collect(agent, rollouts=2)

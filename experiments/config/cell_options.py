@@ -37,22 +37,6 @@ def library_constructor(kind: str, name: str) -> Constructor:
     return made
 
 
-def module_constructor(reference: str) -> Constructor:
-    """Return the user's function, without options where it cannot be read.
-
-    A stored run may name a file that is gone; where it is needed it is refused by name.
-
-    Args:
-      reference: FILE.py:FUNCTION.
-    """
-    nothing = Constructor("", {})
-    try:
-        path, name = split_reference("algo.module", reference)
-        return read_constructor(Path(path), name) or nothing
-    except ConfigError:
-        return nothing
-
-
 def library_options() -> set[str]:
     """Return the dotted names of the options of every objective and signal of the library."""
     return {
@@ -76,11 +60,26 @@ def changed_defaults(algo: AlgoConfig) -> dict[str, Mapping[str, Any]]:
     return {"objective": row.objective_options, "signal": {**reduced, **row.signal_options}}
 
 
+def module_options(algo: AlgoConfig) -> dict[str, Field[Any]]:
+    """Return the options of the user's function by their dotted names; {} where there is none.
+
+    The file is read, not run. That of a stored configuration, which others may have written, is
+    not even read: its options have the types of their values.
+
+    Raises:
+      ConfigError: the file does not exist or cannot be read.
+    """
+    if algo.module is None:
+        return {}
+    path, name = split_reference("algo.module", algo.module)
+    made = read_constructor(Path(path), name)
+    return {f"module.{key}": entry for key, entry in made.options.items()} if made else {}
+
+
 def cell_options(algo: AlgoConfig) -> dict[str, Field[Any]]:
-    """Return the options of an algorithm's constructors by their dotted names."""
+    """Return the options of an algorithm's objective and signal by their dotted names."""
     if algo.module is not None:
-        made = module_constructor(algo.module)
-        return {f"module.{key}": entry for key, entry in made.options.items()}
+        return {}
     row = algorithm_table().get(algo.name)
     if row is not None and row.objective is None:  # the baseline
         return {}
@@ -93,15 +92,19 @@ def cell_options(algo: AlgoConfig) -> dict[str, Field[Any]]:
     return found
 
 
-def complete_config(config: Config) -> Config:
+def complete_config(config: Config, own: Mapping[str, Field[Any]] | None = None) -> Config:
     """Return a configuration with every option of its constructors, and each of the right type.
+
+    Args:
+      config: the configuration.
+      own: the options of the user's function; None: of a stored configuration, as they are.
 
     Raises:
       ConfigError: there is no such option, or it may not have this value.
     """
-    known = cell_options(config.algo)
-    if config.algo.module is not None and not Path(config.algo.module.rpartition(":")[0]).is_file():
-        known = {f"module.{key}": untyped(key, value) for key, value in config.module.items()}
+    if own is None:
+        own = {f"module.{key}": untyped(key, value) for key, value in config.module.items()}
+    known = {**cell_options(config.algo), **own}
     for group in CELL_GROUPS:
         for key in getattr(config, group):
             if f"{group}.{key}" not in known:
@@ -168,6 +171,6 @@ def convert(name: str, entry: Field[Any], value: Any) -> Any:
         raise ConfigError(f"{name}={value}: {MEASURED[kind is bool]}")
     try:
         return value if kind is bool else whole_number(str(value)) if kind is int else float(value)
-    except ValueError:
+    except (ValueError, OverflowError):
         kind_text = "a whole number" if kind is int else "a number"
         raise ConfigError(f"{name}={value}: must be {kind_text}") from None

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from ..system.errors import ConfigError
-from .cell_options import library_options
+from .cell_options import library_options, module_options
 from .config_checks import validate_config
 from .earlier_options import loss_weights
 from .jax_suites import JAX_SUITES, check_installed
@@ -76,7 +76,7 @@ def compose_config(overrides: dict[str, Override]) -> Config:
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(innermost_reason(error)) from None
     assert isinstance(config, Config)
-    return validate_config(config)
+    return validate_config(config, module_options(config.algo))
 
 
 def preset_arguments(name: str) -> list[str]:

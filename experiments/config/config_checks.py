@@ -1,6 +1,7 @@
 """The check of a whole configuration: every field, every size and their combination."""
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import Field, asdict
 from typing import Any
 
 from ..system.errors import ConfigError
@@ -16,8 +17,12 @@ from .validation import (
 )
 
 
-def validate_config(config: Any) -> Config:
+def validate_config(config: Any, own: Mapping[str, Field[Any]] | None = None) -> Config:
     """Return a configuration with all its options, after a check of every field and size.
+
+    Args:
+      config: the configuration.
+      own: see `complete_config`.
 
     Raises:
       ConfigError: a value or a combination is not allowed; the message names the first.
@@ -31,7 +36,7 @@ def validate_config(config: Any) -> Config:
             for one in value if isinstance(value, list) else [value]:
                 check_range(name, one, entry.metadata)
     check_algorithm_name(config)
-    config = complete_config(config)
+    config = complete_config(config, own)
     check_minibatches(config)
     check_rewards(config)
     check_networks(config)
@@ -109,7 +114,8 @@ def check_without_effect(config: Config) -> None:
     Raises:
       ConfigError: there is one; the message names the switch.
     """
-    ppo = config.ppo
+    ppo, algo = config.ppo, config.algo
+    two_values = algo.name != "ppo" and config.combine == "streams"
     for name, given, switch, on in (
         (
             "ppo.normalize_over=minibatch",
@@ -120,8 +126,21 @@ def check_without_effect(config: Config) -> None:
         (
             "ppo.clip_int_value=false",
             not ppo.clip_int_value,
-            "ppo.value_clip=VALUE",
-            ppo.value_clip is not None,
+            "ppo.value_clip=VALUE and two values (combine=streams)",
+            ppo.value_clip is not None and two_values,
+        ),
+        ("ppo.target_kl", ppo.target_kl is not None, "ppo.epochs=2 or more", ppo.epochs > 1),
+        (
+            "ppo.ext_weight or ppo.int_weight",
+            config.combine == "product" and (ppo.ext_weight, ppo.int_weight) != (1, 1),
+            "combine=streams or combine=sum",
+            False,
+        ),
+        (
+            f"algo.objective_weight={algo.objective_weight}",
+            algo.objective_weight != 1 and algo.module is None,
+            "an objective",
+            algo.objective != "none",
         ),
         (
             f"ppo.ext_exponent={ppo.ext_exponent}",

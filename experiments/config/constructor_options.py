@@ -23,8 +23,10 @@ OPERATORS: dict[type, Any] = {
     ast.Mult: operator.mul,
     ast.Add: operator.add,
     ast.Sub: operator.sub,
-    ast.Pow: operator.pow,
 }
+
+
+DEEPEST = 20  # names that stand for names, and types within types
 
 
 class Limits(NamedTuple):
@@ -96,7 +98,7 @@ def read_constructor(path: Path, name: str) -> Constructor | None:
 
 def arguments_with_defaults(node: ast.FunctionDef) -> Iterator[tuple[ast.arg, ast.expr]]:
     """Yield the arguments that have a default, each with the default."""
-    names, defaults = node.args.args, node.args.defaults
+    names, defaults = [*node.args.posonlyargs, *node.args.args], node.args.defaults
     yield from zip(names[len(names) - len(defaults) :], defaults, strict=True)
     for name, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
         if default is not None:
@@ -114,9 +116,9 @@ def make_option(path: Path, argument: ast.arg, default: ast.expr, about: str) ->
     """
     try:
         value = literal(default)
-    except ValueError:
+        limits = read_annotation(path, argument.annotation)
+    except (ValueError, TypeError, ArithmeticError):
         return None
-    limits = read_annotation(path, argument.annotation)
     kind = limits.kind or (type(value) if type(value) in KINDS.values() else None)
     if kind is None:
         return None
@@ -145,31 +147,37 @@ def literal(node: ast.expr) -> Any:
     return value
 
 
-def read_annotation(path: Path, node: ast.expr | None) -> Limits:
+def read_annotation(path: Path, node: ast.expr | None, depth: int = 0) -> Limits:
     """Return what an annotation says: a type, `Literal`, `Annotated` with a `Range`, a name of one.
 
     Args:
       path: the file that it stands in, where names are looked up.
       node: the annotation.
+      depth: of names that stand for names; beyond `DEEPEST` nothing is known.
     """
+    if depth > DEEPEST:
+        return Limits()
     if isinstance(node, ast.Constant) and node.value is None:
         return Limits(nullable=True)
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr):
-        sides = [read_annotation(path, side) for side in (node.left, node.right)]
+        sides = [read_annotation(path, side, depth + 1) for side in (node.left, node.right)]
         known = next((side for side in sides if side.kind), Limits())
         return known._replace(nullable=any(side.nullable for side in sides))
     if isinstance(node, ast.Name):
         if node.id in KINDS:
             return Limits(KINDS[node.id])
         place, meant = find_definition(path, node.id)
-        return read_annotation(place, meant)
+        return read_annotation(place, meant, depth + 1)
     if isinstance(node, ast.Subscript):
         parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         outer = ast.unparse(node.value).rpartition(".")[2]
         if outer == "Literal":
-            return Limits(str, tuple(str(literal(part)) for part in parts))
+            words = [literal(part) for part in parts]
+            return Limits(type(words[0]), tuple(map(str, words)))
+        if outer == "Optional":
+            return read_annotation(path, parts[0], depth + 1)._replace(nullable=True)
         if outer == "Annotated":
-            found = read_annotation(path, parts[0])
+            found = read_annotation(path, parts[0], depth + 1)
             calls = [part for part in parts[1:] if isinstance(part, ast.Call)]
             return found._replace(bounds=read_range(calls))
     return Limits()
@@ -196,17 +204,23 @@ def find_definition(path: Path, name: str) -> tuple[Path, ast.expr | None]:
       name: the name.
     """
     for node in read_source(path).body:
-        if isinstance(node, ast.Assign) and any(
-            isinstance(target, ast.Name) and target.id == name for target in node.targets
-        ):
-            return path, node.value
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sndjax."):
             for alias in node.names:
                 if (alias.asname or alias.name) == name:
                     inner = str(node.module).split(".")[1:]
-                    other = library_path().joinpath(*inner).with_suffix(".py")
-                    return find_definition(other, alias.name) if other.is_file() else (path, None)
-    return path, None
+                    place = library_path().joinpath(*inner).with_suffix(".py")
+                    return place, assigned_value(place, alias.name)
+    return path, assigned_value(path, name)
+
+
+def assigned_value(path: Path, name: str) -> ast.expr | None:
+    """Return the expression that a file assigns to a name; None if it does not."""
+    for node in read_source(path).body if path.is_file() else ():
+        if isinstance(node, ast.Assign) and any(
+            isinstance(target, ast.Name) and target.id == name for target in node.targets
+        ):
+            return node.value
+    return None
 
 
 def argument_meanings(text: str) -> dict[str, str]:

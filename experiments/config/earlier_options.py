@@ -37,6 +37,17 @@ def rename_earlier(found: dict[str, Any]) -> dict[str, Any]:
     return made
 
 
+def rename_argument(argument: str) -> str:
+    """Return an argument of an earlier version's command line with the name of today.
+
+    >>> rename_argument("algo.activation=relu"), rename_argument("seed=1")
+    ('network.module.activation=relu', 'seed=1')
+    """
+    key, equals, value = argument.partition("=")
+    names = {"algo.activation": "network.module.activation", "algo.gradient": "signal.gradient"}
+    return f"{names.get(key, key)}{equals}{value}"
+
+
 def loss_weights(row: Any) -> dict[str, float]:
     """Return the options that weigh the losses of a named algorithm; {} where both weigh 1."""
     if "weights" not in row.options:

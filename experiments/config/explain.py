@@ -30,7 +30,7 @@ def describe_config(arguments: Sequence[str]) -> str:
     """
     config = load_config(list(arguments))
     overrides = parse_overrides(list(arguments))
-    stored = next((key for key in ("resume", "repeat") if key in overrides), None)
+    stored = "repeat" if config.repeat else "resume" if config.resume else None
     places = dict.fromkeys(overrides, COMMAND_LINE) if stored else value_places(config, overrides)
     return "\n".join(yaml_lines(asdict(config), places, stored or "default"))
 
@@ -69,13 +69,13 @@ def value_places(config: Config, overrides: dict[str, Override]) -> dict[str, st
     for name, entry in config_options():
         if isinstance(entry.default, str) and entry.default.startswith("${"):
             found[name] = f"default{reference(entry.default)}"
-    for layer, settings in layers(config, overrides):
-        for name, value in settings.items():
-            found[name] = f"{layer}{reference(value)}"
     changed = changed_defaults(config.algo) if config.algo.module is None else {}
     for group in CELL_GROUPS:
         for name in changed.get(group, {}):
             found[f"{group}.{name}"] = f"algo={config.algo.name}"
+    for layer, settings in layers(config, overrides):
+        for name, value in settings.items():
+            found[name] = f"{layer}{reference(value)}"
     for key in overrides:
         found[f"{key}.name" if key in NAMED_GROUPS else key] = COMMAND_LINE
         if key.startswith("env.options."):
@@ -102,17 +102,21 @@ def layers(config: Config, overrides: dict[str, Override]) -> Iterator[tuple[str
     """
     chosen = {key: str(overrides[key].value()) for key in ALL_GROUPS if key in overrides}
     chosen.setdefault("network", config.network.name)
+    settings_of_preset: dict[str, Any] = {}
     for word in preset_arguments(chosen["preset"]) if "preset" in chosen else ():
         key, _, value = word.partition("=")
-        yield f"preset={chosen['preset']}", {key: value}
         if key == "algo":
             chosen.setdefault("algo", value)
+        else:
+            settings_of_preset[key] = value
     if "algo.module" in overrides:
         chosen.setdefault("algo", "module")
     for group in ALL_GROUPS:
         if group in chosen:
             for settings in file_settings(group, chosen[group]):
                 yield f"{group}={chosen[group]}", settings
+    if "preset" in chosen and "algo" not in overrides:
+        yield f"preset={chosen['preset']}", {"algo.name": chosen["algo"], **settings_of_preset}
 
 
 def file_settings(group: str, name: str) -> Iterator[dict[str, Any]]:

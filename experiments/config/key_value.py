@@ -1,11 +1,24 @@
 """One form of options for all commands: `--key value` and `--key=value` are read as `key=value`."""
 
 from collections.abc import Sequence
+from functools import cache
 
+from .cell_options import library_constructor
+from .library import module_names
 from .overrides import option_kinds
-from .validation import ALL_GROUPS
 
 FLAGS = ("-h", "--help", "-m", "--multirun", "--cfg", "--version")  # these have no value
+
+
+@cache
+def switches() -> set[str]:
+    """Return the names of all options of true or false, those of constructors too."""
+    found = {name for name, kind in option_kinds().items() if kind is bool}
+    for kind in ("objective", "signal"):
+        for name in module_names(f"{kind}s"):
+            options = library_constructor(kind, name).options
+            found |= {f"{kind}.{key}" for key, entry in options.items() if entry.type is bool}
+    return found
 
 
 def to_key_value(arguments: Sequence[str]) -> list[str]:
@@ -24,13 +37,17 @@ def to_key_value(arguments: Sequence[str]) -> list[str]:
             continue
         name, equals, value = argument.removeprefix("--").partition("=")
         name = name.replace("-", "_")
-        takes_value = name in ALL_GROUPS or option_kinds().get(name) is not bool
-        if not equals and left and (takes_value or left[0].lower() in ("true", "false")):
-            value = left.pop(0)
-        elif not equals and not takes_value:
-            value = "true"
-        elif not equals:
-            found.append(argument)  # refused where it is read, as it was written
-            continue
+        if not equals:
+            is_switch = name in switches()
+            if left and (left[0].lower() in ("true", "false") or not is_switch):
+                if left[0].startswith("--"):
+                    found.append(argument)  # refused where it is read, as it was written
+                    continue
+                value = left.pop(0)
+            elif is_switch:
+                value = "true"
+            else:
+                found.append(argument)
+                continue
         found.append(f"{name}={value}")
     return found

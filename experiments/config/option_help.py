@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..system.errors import ConfigError
-from .cell_options import cell_options, changed_defaults, library_constructor
+from .cell_options import cell_options, changed_defaults, library_constructor, module_options
 from .compose import load_config
 from .constructor_options import Constructor, read_constructor, with_default
 from .help import option_lines, run_option_lines
@@ -150,7 +150,7 @@ def effective_help(arguments: Sequence[str]) -> str:
       ConfigError: the arguments describe no run.
     """
     config = load_config(list(arguments))
-    named = dict(config_options()) | cell_options(config.algo)
+    named = dict(config_options()) | cell_options(config.algo) | module_options(config.algo)
     shown = []
     for name, entry in named.items():
         group, _, key = name.partition(".")

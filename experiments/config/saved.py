@@ -215,7 +215,7 @@ def check_extension(stored: Config, config: Config, what: str) -> Config:
             "it can be extended, not shortened"
         )
     anneals = config.ppo.anneal_learning_rate or config.algo.anneal_learning_rate
-    if anneals and config.total_steps != stored.total_steps:
+    if anneals and config.iterations != stored.iterations:
         raise ConfigError(
             f"{what}: the learning rate falls to 0 over total_steps={stored.total_steps}; a run "
             "that anneals cannot be extended"
@@ -250,12 +250,10 @@ def load_resumed_or_new(config: Config) -> Config:
     path = Path(config.run_dir) / CONFIG
     if not is_file(path):
         return replace(config, resume=None)
-    stored = read_saved(path).config
-    if stored.algo.module == config.algo.module:  # else the file that it names is not trusted
-        stored = validate_config(stored)
+    stored = validate_config(read_saved(path).config)
     before, wanted = run_settings(stored), run_settings(config)
     for name, now in wanted.items():
-        was = before.get(name)
+        was = before.get(name, now if name.startswith("module.") else None)
         if was != now:
             raise ConfigError(
                 f"resume=auto: the run in {config.run_dir} has {name}={was}, not {now}"

@@ -86,8 +86,7 @@ class AlgoConfig:
     eta: float = option(0.5, "scale of the intrinsic reward", low=0)
     reward_scale: str = option(
         "none",
-        "none: clip(eta * signal, 0, 1); unclipped: eta * signal; running_std: eta * signal / std "
-        "of its discounted return",
+        "clip(eta * signal, 0, 1), eta * signal, or eta * signal / std of its discounted return",
         choices=("none", "unclipped", "running_std"),
     )
     learning_rate: float = option(
@@ -142,13 +141,10 @@ class PPOConfig:
         0.5, "largest gradient norm; larger gradients are scaled down", above=0
     )
     ext_weight: float | None = option(
-        None,
-        "weight of the external advantage, or with combine=sum of the external reward; "
-        "0: intrinsic reward only; default: 2 with combine=streams, else 1",
-        low=0,
+        None, "weight of the external advantage (default 2), or of the reward in a sum (1)", low=0
     )
     int_weight: float = option(
-        1.0, "weight of the intrinsic advantage, or with combine=sum of the intrinsic reward", low=0
+        1.0, "weight of the intrinsic advantage, or of the reward in a sum", low=0
     )
     normalize_advantages: bool = option(False, "normalise advantages to mean 0 and std 1")
     normalize_over: str = option(
@@ -195,7 +191,9 @@ class NetworkSizes:
     channels: list[int] | None = option(
         None, "channels of the convolutions of stride 2; []: none, pixels as a vector", low=1
     )
-    last: int | None = option(None, "channels of the last convolution, of stride 1", low=1)
+    last: int | None = option(
+        None, "channels of the last convolution (not of RND's and SND-V's encoders)", low=1
+    )
     patch: int | None = option(
         None, "side of the first layer's patches; 0: the thesis' 3x3 with stride 2", low=0
     )
@@ -232,17 +230,12 @@ class Config:
     algo: AlgoConfig = field(default_factory=AlgoConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
-    objective: dict[str, Any] = option(
-        {}, "arguments of the objective's constructor (--help objective=NAME)"
-    )
-    signal: dict[str, Any] = option(
-        {}, "arguments of the signal's constructor (--help signal=NAME)"
-    )
+    objective: dict[str, Any] = option({}, "the objective's arguments (--help objective=NAME)")
+    signal: dict[str, Any] = option({}, "the signal's arguments (--help signal=NAME)")
     module: dict[str, Any] = option({}, "arguments of your function (--help algo.module=...)")
     combine: str = option(
         "streams",
-        "external and intrinsic reward: two streams with two values (the thesis), their sum "
-        "(eq. 4.1) or their product (eq. 4.32) with one",
+        "two rewards with two values (the thesis), their sum (eq. 4.1) or product (eq. 4.32)",
         choices=("streams", "sum", "product"),
     )
     seed: int = option(0, "the first seed", low=0, high=2**31 - 1)

@@ -120,7 +120,7 @@ def check_range(name: str, value: Any, limits: Any) -> None:
         return
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}={value}: must be finite")
-    if limits["choices"] is not None and value not in limits["choices"]:
+    if limits["choices"] is not None and str(value) not in limits["choices"]:
         raise unknown_name_error(f"value of {name}", str(value), limits["choices"])
     for bound, fails, words in (
         ("low", lambda v, b: v < b, "at least"),

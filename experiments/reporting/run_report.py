@@ -3,6 +3,7 @@
 import time
 from pathlib import Path
 
+from ..config.schema import Config
 from ..storage.read_runs import (
     RunData,
     RunGroup,
@@ -68,18 +69,19 @@ def environment_sections(groups: list[RunGroup], out: Path, bars: ProgressBars) 
     return list(sections.values())
 
 
-def shown(setting: str) -> bool:
-    """Return True if a setting that differs between runs has a column in the table of runs.
-
-    Those of the environment, and what the algorithm's name says, have none.
-    """
-    return not (setting.startswith("env.") or setting in ("algo.name", "algo.eta"))
+def columns(runs: list[RunData]) -> list[str]:
+    """Return the settings that differ between runs of one algorithm on one environment."""
+    together: dict[tuple[str, str], list[Config]] = {}
+    for run in runs:
+        key = (run.config.env.name, run.config.algo.name)
+        together.setdefault(key, []).append(run.config)
+    return sorted({name for configs in together.values() for name in differing_settings(configs)})
 
 
 def runs_section(runs: list[RunData], groups: list[RunGroup]) -> Section:
     """Make the section with the table of the runs that were read, and what differs between them."""
     repeats = {id(seed) for group in groups for seed in group.repeats}
-    names = [name for name in differing_settings([run.config for run in runs]) if shown(name)]
+    names = columns(runs)
     head = ["run", "environment", "algorithm", *names]
     head += ["seeds", "steps per seed", "finished", "repeats"]
     rows = []

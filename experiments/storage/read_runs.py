@@ -260,7 +260,7 @@ def differing_settings(configs: list[Config]) -> list[str]:
                 changed.add(name)
     several = {name for name, found in values.items() if len(found) > 1}
     own = {name for name in several if name.partition(".")[0] in CELL_GROUPS}
-    return sorted((several - own) | (changed if len(configs) > 1 else set()))
+    return sorted((several - own) | (own & changed))
 
 
 def split_repeats(seeds: list[SeedData]) -> tuple[list[SeedData], list[SeedData]]:

@@ -17,7 +17,8 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
 from ..config.command_text import option_text
-from ..config.compose import load_config
+from ..config.compose import load_config, preset_arguments
+from ..config.earlier_options import rename_argument
 from ..config.overrides import normalize_overrides
 from ..config.run_settings import CHANGEABLE
 from ..config.saved import CONFIG
@@ -152,6 +153,8 @@ def job_name(overrides: Sequence[str], swept: Sequence[str]) -> str:
     """
     join = lambda value: "-".join(map(str, value)) if isinstance(value, list) else str(value)
     values = {key: join(override.value()) for key, override in parse_sweep(overrides).items()}
+    if "preset" in values and "algo" not in values:
+        values |= dict(word.partition("=")[::2] for word in preset_arguments(values["preset"]))
     env = values.get("env.id", values.get("env", "unnamed"))
     algo = values.get("algo.module", values.get("algo", "unnamed")).rpartition(":")[2]
     others = [f"{key}={quote(values[key], safe='')}" for key in swept if key not in NAME_KEYS]
@@ -210,7 +213,8 @@ def read_job(path: Path) -> tuple[Job, dict[str, Any]]:
     """
     try:
         entry = json.loads(path.read_text())
-        return Job(*(entry.pop(field) for field in Job._fields)), entry
+        job = Job(*(entry.pop(field) for field in Job._fields))
+        return job._replace(overrides=[rename_argument(one) for one in job.overrides]), entry
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise ConfigError(f"{path}: this file describes no job of a sweep") from None
 

@@ -41,10 +41,11 @@ def search_report(directory: Path, keys: tuple[str, ...], figure: str) -> str:
     found = finished_trials(directory, keys, figure)
     out = directory / "report"
     out.mkdir(exist_ok=True)
-    rows = [[f"{value:.4g}", *(f"{v:.4g}" for v in values)] for value, values in found]
+    rows = [[short(value), *map(short, values)] for value, values in found]
     lines = [",".join([figure, *keys]), *(",".join(row) for row in rows)]
     (out / "search.csv").write_text("\n".join(lines) + "\n")
-    if len(keys) == 2 and found:
+    numbers = all(isinstance(v, int | float) for _, values in found for v in values)
+    if len(keys) == 2 and found and numbers:
         plot_trials(found, keys, figure, out)
     widths = [
         max(len(job) for job in column) for column in zip([figure, *keys], *rows, strict=True)
@@ -52,6 +53,12 @@ def search_report(directory: Path, keys: tuple[str, ...], figure: str) -> str:
     shown = ["  ".join(f"{c:>{w}}" for c, w in zip(row, widths, strict=True)) for row in rows]
     head = "  ".join(f"{c:>{w}}" for c, w in zip([figure, *keys], widths, strict=True))
     return "\n".join([head, *shown, f"in {out}"])
+
+
+def short(value: Any) -> str:
+    """Return a number with four digits, and a word or a list as it is, without commas."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return f"{value:.4g}" if is_number else str(value).replace(",", "")
 
 
 def plot_trials(

@@ -5,7 +5,7 @@ from typing import Any, Literal
 import numpy as np
 
 import sndjax
-from sndjax.architectures import size_for
+from sndjax.architectures import NETWORKS
 
 from ..config.schema import Config, NetworkSizes
 from ..environments.pool import Pool
@@ -59,11 +59,11 @@ def network_sizes(
             f"network=small (also set by preset=laptop) is for pixels; {config.env.id} has none"
         )
     shape = tuple(pool.shape)
-    size = size_for(shape, config.network.name) if pixels else vector_size(config)
+    size = named_size(config.network.name, shape, pixels)
     changed: dict[str, Any] = {}
     given = given_sizes(config, part)
-    if given.get("channels", ("", None))[1] == []:
-        size = size_for(shape, "mlp")
+    if "channels" in given and pixels:  # they decide whether the others have a meaning
+        size = size._replace(**changed_fields("channels", given["channels"][1]))
     for name, (option, value) in given.items():
         problem = misfit(name, size, pixels)
         if problem:
@@ -76,9 +76,18 @@ def network_sizes(
     return size
 
 
-def vector_size(config: Config) -> sndjax.Architecture:
-    """Return the sizes of a named network for vectors."""
-    return size_for((1,), config.network.name)
+def named_size(name: str, shape: tuple[int, ...], pixels: bool) -> sndjax.Architecture:
+    """Return the sizes of a named network: for vectors, for gray pixels, for all other pixels.
+
+    Args:
+      name: of the network.
+      shape: of a frame.
+      pixels: whether frames are pixels.
+    """
+    named = NETWORKS[name]
+    if not pixels:
+        return named.vector
+    return named.gray if shape[-1] == 1 else named.colour
 
 
 def misfit(name: str, size: sndjax.Architecture, pixels: bool) -> str:

@@ -240,9 +240,13 @@ class DeviceMesh(SingleDevice):
         return Experience(**fields | {"hidden": self.sharding("seeds", "envs")})
 
     def put_batch(self, batch: Experience) -> Experience:
-        put = lambda tree, *axes: jax.tree.map(lambda x: self.put(x, *axes), tree)
-        hidden = put(batch.hidden, "seeds", "envs")
-        return put(batch, "seeds", None, "envs")._replace(hidden=hidden)
+        rows = jax.tree.map(self.put_rows, batch._replace(hidden=None))
+        hidden = jax.tree.map(lambda x: self.put(x, "seeds", "envs"), batch.hidden)
+        return rows._replace(hidden=hidden)
+
+    def put_rows(self, rows: Any) -> Any:
+        """Return the sharded array over all devices of this host's rows [S, T, n, ...]."""
+        return self.put(rows, "seeds", None, "envs")
 
     def put_states(self, states: Any) -> Any:
         def laid(x: Any) -> Any:
@@ -258,7 +262,7 @@ class DeviceMesh(SingleDevice):
     def gather_hosts(self, tree: Any) -> Any:
         if self.hosts == 1:
             return tree
-        return jax.tree.map(np.array, self.to_host(self.put_batch(tree)))
+        return jax.tree.map(np.array, self.to_host(jax.tree.map(self.put_rows, tree)))
 
     def to_host(self, tree: Any) -> Any:
         if self.hosts == 1:

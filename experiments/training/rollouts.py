@@ -241,10 +241,14 @@ class Collector:
             truncated=c["truncated"],
             log_prob=c["log_prob"],
             value=self.value,
-            hidden=None if hidden[0] is None else jnp.concatenate(hidden, axis=1),
+            hidden=hidden[0] if len(hidden) == 1 else self.join_hidden(hidden),
         )
         columns = {name: c[name] for name in ("valid", "game_over", "reward", "score")}
         return batch, RolloutInfo(**columns, room=self.room)
+
+    def join_hidden(self, hidden: list[Any]) -> Any:
+        """Join the recurrent states of all pools, [S, n, d] each; None without a memory."""
+        return None if hidden[0] is None else jnp.concatenate(hidden, axis=1)
 
     def close(self) -> None:
         """Stop the environments."""

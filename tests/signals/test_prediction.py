@@ -63,7 +63,7 @@ def test_sp_prediction_loss_each_gradient_setting_equals_finite_differences(grad
     """Compare with finite differences of the loss, where the detached parts are constant."""
     made = rollout(VECTOR, np.random.default_rng(0))
     rows, key = gather_transitions(made, jnp.arange(32)), jax.random.key(2)
-    module = sp(VECTOR.actions, VECTOR.size, gradient=gradient)
+    module = sp(VECTOR.actions, VECTOR.size, signal_options={"gradient": gradient})
     params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
     forward = lambda p: module.loss(p, state, rows, made, key)[1]["prediction_loss"]
     got = jax.jit(jax.grad(forward))(params)
@@ -97,8 +97,8 @@ def test_icm_loss_is_weighted_sum_and_detaches_the_forward_target():
     total, terms = jax.jit(module.loss)(params, state, rows, made, key)
     wanted = 0.8 * terms["inverse_dynamics"] + 0.2 * terms["prediction_loss"]
     np.testing.assert_allclose(total, wanted, rtol=1e-6)
-    detached = icm(VECTOR.actions, VECTOR.size, gradient="detached")
-    whole = icm(VECTOR.actions, VECTOR.size, gradient="symmetric")
+    detached = icm(VECTOR.actions, VECTOR.size, signal_options={"gradient": "detached"})
+    whole = icm(VECTOR.actions, VECTOR.size, signal_options={"gradient": "symmetric"})
     slope = lambda m: jax.jit(jax.grad(lambda p: m.loss(p, state, rows, made, key)[0]))(params)
     for same, ours, other in zip(
         *(jax.tree.leaves(slope(m).encoder) for m in (detached, module, whole)), strict=True

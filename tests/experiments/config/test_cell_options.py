@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 import sndjax
 from experiments.config.cell_options import library_options
 from experiments.config.compose import load_config, register_configs
+from experiments.config.config_checks import validate_config
 from experiments.config.run_settings import check_settings, run_settings
 from experiments.config.saved import SavedConfig, parse_saved, to_yaml
 from experiments.config.validation import CONF
@@ -139,6 +140,17 @@ def test_options_of_a_users_function_reach_it(tmp_path, monkeypatch):
         load_config([*arguments, "signal.alpha=1"])
 
 
+def test_stored_configurations_do_not_read_the_file_that_they_name(tmp_path):
+    """A huge number, and a file that is gone: neither stops a report."""
+    body = "env: {name: MountainCar, id: MountainCar-v0}\nalgo: {name: mine, module: %s}\n"
+    text = body % (tmp_path / "gone.py:mine") + "module: {heat: 2.0}\n"
+    assert validate_config(parse_saved(text, "here").config).module == {"heat": 2.0}
+    text = "env: {name: MountainCar, id: MountainCar-v0}\nalgo: {name: rnd}\n"
+    text += "signal: {update_proportion: 1%s}\n" % ("0" * 400)
+    with pytest.raises(ConfigError, match="must be a number"):
+        validate_config(parse_saved(text, "here").config)
+
+
 def test_differing_settings_names_options_that_differ_where_both_have_them():
     configs = [
         load_config([*CAR, "algo=grid", "algo.objective=none", *more])
@@ -154,6 +166,8 @@ def test_differing_settings_names_options_that_differ_where_both_have_them():
         for name in ("none", "vicreg", "st_dim")
     ]
     assert differing_settings(cells) == ["algo.objective"]  # reductions follow the objective
+    same = [load_config([*GRID, "signal.alpha=0.9", f"network.hidden=[{n}]"]) for n in (8, 9)]
+    assert differing_settings(same) == ["network.hidden"]
 
 
 def test_every_option_of_a_constructor_is_one_that_a_search_may_set():

@@ -51,6 +51,8 @@ from sndjax.ranges import Range, Share
 from sndjax.signals.distillation import RewardReduction as Reduction
 
 Kind = Literal["near", "far"]
+Turn = Back
+Back = Turn
 
 
 def mine(
@@ -61,10 +63,16 @@ def mine(
     kind: Kind = "near",
     reduce: Reduction = "mean",
     share: Share = 0.5,
-    decay: Annotated[float | None, Range(0.0, high=2**3)] = None,
+    decay: Annotated[float | None, Range(0.0, high=2 * 4)] = None,
     on: bool = False,
     table: dict = {},
     net=object(),
+    level: Literal[1, 2] = 1,
+    depth: Optional[int] = None,
+    broken=1 / 0,
+    also=-"x",
+    endless: Turn = 1,
+    big=9**9,
 ):
     """Make my module.
 
@@ -82,8 +90,10 @@ def test_read_constructor_of_a_users_file_reads_its_arguments_without_running_it
     options = read_constructor(path, "mine").options
     assert {key: entry.default for key, entry in options.items()} == {
         "temperature": 0.25, "steps": 3, "kind": "near", "reduce": "mean", "share": 0.5,
-        "decay": None, "on": False,
+        "decay": None, "on": False, "level": 1, "depth": None, "endless": 1,
     }  # fmt: skip
+    assert (options["level"].type, options["level"].metadata["choices"]) == (int, ("1", "2"))
+    assert set(typing.get_args(options["depth"].type)) == {int, NoneType}
     assert [options[key].type for key in ("temperature", "steps", "kind", "on")] == [
         float, int, str, bool,
     ]  # fmt: skip
@@ -94,6 +104,13 @@ def test_read_constructor_of_a_users_file_reads_its_arguments_without_running_it
     assert set(typing.get_args(options["decay"].type)) == {float, NoneType}
     assert options["temperature"].metadata["about"] == "of the softmax, which is long"
     assert math.isclose(options["temperature"].default, 0.25)
+
+
+def test_read_constructor_of_a_function_with_positional_arguments_alone(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text("def f(n, size=3, t=0.1, /, *, on=True): ...")
+    options = read_constructor(path, "f").options
+    assert {k: v.default for k, v in options.items()} == {"size": 3, "t": 0.1, "on": True}
 
 
 def test_read_constructor_of_a_file_without_it_is_none_and_of_a_broken_one_refused(tmp_path):

@@ -59,7 +59,9 @@ def test_describe_config_names_the_place_of_each_value():
     assert baseline["baseline_gamma"] == "env=Gravitar"
     preset = places(["env=Venture", "preset=noveld", "network=wide"])
     assert (preset["signal"], preset["combine"]) == ("preset=noveld", "preset=noveld")
-    assert preset["memory"] == "preset=noveld"
+    assert preset["memory"] == preset["update_proportion"] == "preset=noveld"
+    lines = describe_config(["env=Venture", "preset=noveld"]).splitlines()
+    assert [line.split("# ")[1] for line in lines if "name: grid" in line] == ["preset=noveld"]
 
 
 def test_describe_config_of_a_stored_run_names_that(tmp_path):
@@ -67,6 +69,8 @@ def test_describe_config_of_a_stored_run_names_that(tmp_path):
     (tmp_path / "config.yaml").write_text(text)
     stored = places([f"repeat={tmp_path / 'config.yaml'}", "algo=rnd"])
     assert stored["seed"] == "repeat"
+    new = places(["env=MountainCar", "algo=rnd", "resume=auto", f"run_dir={tmp_path / 'new'}"])
+    assert (new["seed"], new["run_dir"]) == ("default", "command line")
 
 
 def test_run_help_of_a_signal_has_its_equation_its_options_and_their_ranges():
@@ -107,6 +111,8 @@ def test_to_key_value_reads_both_forms_and_leaves_flags():
     ]  # fmt: skip
     assert to_key_value(["--algo.shuffle", "false", "-m"]) == ["algo.shuffle=false", "-m"]
     assert to_key_value(["--seed"]) == ["--seed"]
+    assert to_key_value(["--signal.centre", "--seed", "1"]) == ["signal.centre=true", "seed=1"]
+    assert to_key_value(["--seed", "--algo", "rnd"]) == ["--seed", "algo=rnd"]
     assert to_key_value(["--network.hidden", "[8,8]", "--signal.alpha", "0.5"]) == [
         "network.hidden=[8,8]", "signal.alpha=0.5",
     ]  # fmt: skip
@@ -121,6 +127,8 @@ def test_run_prints_the_configuration_the_version_and_errors_as_one_line(capsys)
     for main in (run.main, cli.main):
         assert main(["--version"]) == 0
         assert capsys.readouterr().out.startswith("sndjax ")
+        assert main(["--help", "signal=re3"]) == 0
+        assert "signal.k=4" in capsys.readouterr().out
 
 
 def test_cfg_does_not_import_jax():

@@ -7,11 +7,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.rollouts import KINDS, rollout
 
 from experiments.config.compose import load_config
 from experiments.config.validation import group_choices
 from experiments.training.agents import make_hyperparameters, make_intrinsic_config
-from sndjax import VECTOR, Rollout, distillation_error, elliptical_bonus, ppo
+from sndjax import (
+    VECTOR,
+    Rollout,
+    distillation_error,
+    elliptical_bonus,
+    gather_transitions,
+    ppo,
+)
+
+KIND = KINDS[2]
 
 CRAFTAX = {
     "num_envs": 1024, "num_steps": 64, "lr": 2e-4, "update_epochs": 4, "num_minibatches": 8,
@@ -52,7 +62,7 @@ def of_preset(name, *more):
     return load_config([*TASKS[name], f"preset={name}", *more])
 
 
-def batch(seed, heads, rows=64, actions=5):
+def batch(seed, heads, rows=4096, actions=5):
     rng = np.random.default_rng(seed)
     return {
         "logits": rng.normal(size=(rows, actions)),
@@ -71,8 +81,9 @@ def published_loss(name, c, source):
     action = c["action"]
     ratio = np.exp(log_p[np.arange(len(action)), action] - c["old_log_prob"])
     advantage, clip = c["advantage"], source["clip_eps"]
-    if name != "burda_rnd":
-        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    if name != "burda_rnd":  # torch divides by n - 1, jax by n
+        deviation = advantage.std(ddof=1 if name == "cleanrl_rnd" else 0)
+        advantage = (advantage - advantage.mean()) / (deviation + 1e-8)
     surrogate = np.minimum(ratio * advantage, np.clip(ratio, 1 - clip, 1 + clip) * advantage)
     value_loss = 0.0
     for k in range(c["value"].shape[1]):
@@ -94,9 +105,9 @@ def test_preset_ppo_loss_equals_the_published_one_in_float64(name):
     for seed in range(3):
         c = batch(seed, heads)
         arrays = {key: jnp.asarray(value, jnp.float32) for key, value in c.items()}
-        arrays |= {"action": jnp.asarray(c["action"], jnp.int32), "valid": jnp.ones(64, bool)}
+        arrays |= {"action": jnp.asarray(c["action"], jnp.int32), "valid": jnp.ones(4096, bool)}
         total, _ = ppo.loss(**arrays, hyper=hyper)
-        np.testing.assert_allclose(total, published_loss(name, c, PPO[name]), rtol=1e-4)
+        np.testing.assert_allclose(total, published_loss(name, c, PPO[name]), rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", PPO)
@@ -141,6 +152,50 @@ def test_preset_rnd_reward_and_scale_are_the_published_ones(name):
     weights = {"cleanrl_rnd": (2.0, 1.0), "burda_rnd": (2.0, 1.0), "craftax_rnd": (1.0, 0.01)}
     assert (config.ppo.ext_weight, config.ppo.int_weight) == weights[name]
     assert not config.ppo.episodic_int
+
+
+def module_and_rows(name):
+    """Return a preset's module at toy size, its parameters, and a minibatch of 32 rows."""
+    size = VECTOR._replace(features=8, hidden=(8,))
+    module = make_intrinsic_config(of_preset(name), KIND.actions, size).module
+    made = rollout(KIND, np.random.default_rng(0), chance=0.0)
+    made = made._replace(valid=jnp.ones_like(made.valid))
+    params, state = jax.jit(module.init)(jax.random.key(0), made.frames[0])
+    rows = gather_transitions(made, jnp.arange(32))
+    loss = jax.jit(module.loss)(params, state, rows, made, jax.random.key(1))
+    features = lambda frames: np.asarray(
+        module.features(params, state, frames, rows.action), np.float64
+    )
+    return params, rows, loss, features
+
+
+def dense(weights, x):
+    return x @ np.asarray(weights["kernel"], np.float64) + np.asarray(weights["bias"], np.float64)
+
+
+def test_preset_craftax_rnd_trains_a_hundredth_of_the_mean_squared_error():
+    params, rows, (total, _), features = module_and_rows("craftax_rnd")
+    weights = params.signal["params"]
+    hidden = np.maximum(dense(weights["Torso_0"]["Dense_0"], np.asarray(rows.frame)), 0)
+    error = dense(weights["Dense_0"], hidden) - features(rows.frame)
+    np.testing.assert_allclose(total, 0.01 * (error**2).mean(), rtol=1e-4)  # rnd_loss_coeff
+
+
+def test_preset_craftax_icm_adds_both_losses_with_weight_one():
+    params, rows, (total, terms), features = module_and_rows("craftax_icm")
+    z, z_next = features(rows.frame), features(rows.next_frame)
+    x, layers = np.concatenate([z, z_next], -1), params.objective["params"]
+    for i in range(3):
+        x = dense(layers[f"Dense_{i}"], x if i == 0 else np.maximum(x, 0))
+    log_p = x - np.log(np.exp(x).sum(-1, keepdims=True))
+    inverse = -log_p[np.arange(32), np.asarray(rows.action)].mean()
+    x = np.concatenate([z, np.eye(KIND.actions)[np.asarray(rows.action)]], -1)
+    for i in range(3):
+        x = dense(params.signal["params"][f"Dense_{i}"], x if i == 0 else np.maximum(x, 0))
+    forward = ((x - z_next) ** 2).mean()
+    np.testing.assert_allclose(terms["inverse_dynamics"], inverse, rtol=1e-4)
+    np.testing.assert_allclose(terms["prediction_loss"], forward, rtol=1e-4)
+    np.testing.assert_allclose(total, inverse + forward, rtol=1e-4)
 
 
 def test_preset_craftax_e3b_matrix_and_bonus_are_the_published_ones():
@@ -190,6 +245,8 @@ def test_preset_noveld_and_ngu_have_the_published_constants():
         40.0,
     )
     assert (noveld.signal["alpha"], noveld.signal["novelty"]) == (0.5, "norm")
+    # baseline_cost times the 0.5 of the squares; the predictor's gradient is clipped too.
+    assert (noveld.ppo.value_weight, noveld.algo.max_grad_norm) == (0.5 * 0.5, 40.0)
     ngu = of_preset("ngu")
     assert (ngu.algo.eta, ngu.algo.learning_rate, ngu.algo.adam_eps) == (0.3, 5e-4, 1e-4)
     wanted = {"neighbours": 10, "epsilon": 1e-4, "cluster": 0.008, "constant": 1e-3}

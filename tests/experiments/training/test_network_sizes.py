@@ -38,6 +38,15 @@ def test_network_sizes_named_networks_are_those_of_the_library():
     assert sizes(VECTOR, "network=mlp") == sndjax.VECTOR
 
 
+def test_network_sizes_of_any_pixels_are_those_of_earlier_versions():
+    """Gray ones have Atari's, all others Procgen's, whatever their channels and sides."""
+    for channels, wanted in ((1, sndjax.ATARI), (2, sndjax.PROCGEN), (4, sndjax.PROCGEN)):
+        for side in (20, 64):
+            kind = ((side, side, channels), np.uint8)
+            assert sizes(kind) == wanted
+            assert sizes(kind, "network=small") == sndjax.SMALL
+
+
 def test_network_sizes_of_a_part_come_before_those_of_all():
     options = ("network.hidden=[32,16]", "network.policy.hidden=[8]", "network.features=24",
                "network.module.features=4", "network.layer_norm=true")  # fmt: skip
@@ -61,6 +70,12 @@ def test_network_memory_is_the_policys_alone():
         (VECTOR, ["network.channels=[8]"], "network.channels=[8]: the observations are vectors"),
         (VECTOR, ["network.policy.patch=4"], "network.policy.patch=4: these networks have no conv"),
         (VECTOR, ["network=small"], "is for pixels"),
+        (
+            COLOUR,
+            ["network=mlp", "network.channels=[8]", "network.hidden=[8]"],
+            "convolutions read",
+        ),
+        (COLOUR, ["network=mlp", "network.last=8"], "these networks have no convolutions"),
         (GRAY, ["network.hidden=[8]"], "hidden layers are those of network=mlp"),
         (COLOUR, ["network.patch=65"], "network.patch=65: layer 1 would make a map of 0 x 0 x 32"),
     ],
