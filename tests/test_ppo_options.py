@@ -85,9 +85,8 @@ def test_train_step_sum_without_a_bonus_learns_the_policy_of_plain_ppo_bit_for_b
     init = jax.jit(functools.partial(sndjax.init_train_state, agent))
     state = init(jax.random.key(0), example(VECTOR))
     batch = batch_for(VECTOR, heads=1)
-    with jax.disable_jit():  # compiled, XLA fuses differently where a module is beside the policy
-        summed, _, _ = sndjax.make_train_step(agent)(state, batch)
-        alone, _, _ = sndjax.make_train_step(plain)(start, batch)
+    summed, _, _ = jax.jit(sndjax.make_train_step(agent))(state, batch)
+    alone, _, _ = jax.jit(sndjax.make_train_step(plain))(start, batch)
     for a, b in zip(jax.tree.leaves(summed.policy), jax.tree.leaves(alone.policy), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -211,20 +210,21 @@ def test_train_step_annealed_learning_rates_scale_adams_steps_by_the_iteration()
     step = jax.jit(sndjax.make_train_step(agent))
     adam = optax.adam(optax.linear_schedule(1e-3, 0, 4), eps=1e-3)
     optimizer, policy = adam.init(state.policy), state.policy
+
+    def loss(params, batch):
+        logits, value = agent.network.apply(params, batch.rollout.frames[:-1].reshape(32, -1))
+        advantage, target = ppo.compute_advantages(hyper, batch, jnp.zeros((8, 4)))
+        flat = lambda x: x.reshape(32, *x.shape[2:])
+        made = batch.rollout
+        return ppo.loss(
+            logits, value, flat(made.action), flat(batch.log_prob), flat(advantage),
+            flat(target), flat(made.valid), hyper,
+        )[0]  # fmt: skip
+
+    slope = jax.jit(jax.grad(loss))
     for i in range(6):
         batch = batch_for(VECTOR, i, heads=1)
-
-        def loss(params, batch=batch):
-            logits, value = agent.network.apply(params, batch.rollout.frames[:-1].reshape(32, -1))
-            advantage, target = ppo.compute_advantages(hyper, batch, jnp.zeros((8, 4)))
-            flat = lambda x: x.reshape(32, *x.shape[2:])
-            made = batch.rollout
-            return ppo.loss(
-                logits, value, flat(made.action), flat(batch.log_prob), flat(advantage),
-                flat(target), flat(made.valid), hyper,
-            )[0]  # fmt: skip
-
-        updates, optimizer = adam.update(jax.grad(loss)(policy), optimizer)
+        updates, optimizer = adam.update(slope(policy, batch), optimizer)
         policy = optax.apply_updates(policy, updates)
         state, metrics, _ = step(state, batch)
         assert metrics["learning_rate"] == pytest.approx(1e-3 * max(0, 1 - i / 4))

@@ -56,7 +56,7 @@ def test_algorithms_equal_the_table():
 
 def test_icm_module_has_a_detached_target_and_the_published_weights():
     text = repr(sndjax.icm(5))
-    assert "prediction(gradient='detached')" in text
+    assert "prediction(gradient='detached', " in text
     assert "weights=(0.8, 0.2)" in text
     assert "inverse_dynamics(last=1.0)" in text
 

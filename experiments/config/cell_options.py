@@ -12,7 +12,13 @@ from typing import Any, get_args
 
 from ..system.errors import ConfigError
 from .constructor_options import Constructor, read_constructor, with_default
-from .library import algorithm_table, distillation_table, library_path, module_names
+from .library import (
+    algorithm_table,
+    distillation_table,
+    has_predictor,
+    library_path,
+    module_names,
+)
 from .schema import AlgoConfig, Config, option
 from .user_function import split_reference
 from .validation import check_range, unknown_name_error, whole_number
@@ -54,7 +60,7 @@ def changed_defaults(algo: AlgoConfig) -> dict[str, Mapping[str, Any]]:
     experiments of the objective reduce a distillation.
     """
     row = algorithm_table().get(algo.name)
-    reduced = distillation_table().get(algo.objective, {})
+    reduced = distillation_table().get(algo.objective, {}) if has_predictor(algo.signal) else {}
     if row is None:
         return {"signal": reduced}
     return {"objective": row.objective_options, "signal": {**reduced, **row.signal_options}}

@@ -17,20 +17,32 @@ from sndjax.statistics import mask_rows, masked_mean
 from sndjax.types import Features, Loss, Params, Rollout, State, Transition
 
 Gradient = Literal["symmetric", "detached", "asymmetric"]
+PredictionReduction = Literal["tanh_mean", "mean", "half_sum"]
 
 
 def prediction_error(
-    predicted: Float[Array, "*rows d"], z_next: Float[Array, "*rows d"]
+    predicted: Float[Array, "*rows d"],
+    z_next: Float[Array, "*rows d"],
+    reward_reduction: PredictionReduction = "tanh_mean",
 ) -> Float[Array, "*rows"]:
-    """Compute the novelty of each transition: tanh of the mean over d of (predicted - z_next)^2.
+    """Compute the novelty of each transition from the squares (predicted - z_next)^2.
 
-    Eq. 4.2 and 5.10 write the sum; the published experiments took this.
+    Args:
+      predicted: features of s_t+1, of the forward model.
+      z_next: features of s_t+1, of the encoder.
+      reward_reduction: "tanh_mean", tanh of the mean over d, as the published experiments; "mean";
+        "half_sum", half the sum over d, is ICM's (Pathak et al., 2017) and, but for the half, that
+        of eq. 4.2 and 5.10.
 
     >>> prediction_error(jnp.array([[1.0, 0.0]]), jnp.zeros((1, 2))).round(4)
     Array([0.4621], dtype=float32)
     """
     chex.assert_equal_shape([predicted, z_next])
-    return jnp.tanh(jnp.mean((predicted - z_next) ** 2, axis=-1))
+    squared = (predicted - z_next) ** 2
+    if reward_reduction == "half_sum":
+        return jnp.sum(squared, axis=-1) / 2
+    mean = jnp.mean(squared, axis=-1)
+    return jnp.tanh(mean) if reward_reduction == "tanh_mean" else mean
 
 
 def prediction_loss(
@@ -90,7 +102,9 @@ def encode_rollout(
     return map_over_time(lambda frame: view.encode(frame)[0], frames)
 
 
-def prediction(*, gradient: Gradient = "symmetric") -> Signal:
+def prediction(
+    *, gradient: Gradient = "symmetric", reward_reduction: PredictionReduction = "tanh_mean"
+) -> Signal:
     """Make the signal of a forward model of d + A -> d -> d -> d: its error at (s_t, a_t, s_t+1).
 
     s_t+1 is the true one, at an episode's end too.
@@ -98,11 +112,13 @@ def prediction(*, gradient: Gradient = "symmetric") -> Signal:
     Args:
       gradient: of the forward loss into the encoder. `symmetric`: through z_t and z_t+1, as
         the published SP; `detached`: through z_t alone, as ICM; `asymmetric`: none (5.1.4).
+      reward_reduction: how the reward reduces over features, see `prediction_error`.
 
     >>> prediction(gradient="asymmetric")
-    prediction(gradient='asymmetric')
+    prediction(gradient='asymmetric', reward_reduction='tanh_mean')
     """
     check_choice("gradient", gradient, get_args(Gradient))
+    check_choice("reward_reduction", reward_reduction, get_args(PredictionReduction))
 
     def init(
         key: PRNGKeyArray,
@@ -121,7 +137,7 @@ def prediction(*, gradient: Gradient = "symmetric") -> Signal:
     ) -> tuple[Float[Array, "T N"], State]:
         z = encode_rollout(view, rollout.frames)
         predicted = map_over_time(partial(predict_next_features, params), z[:-1], rollout.action)
-        return prediction_error(predicted, z[1:]), state
+        return prediction_error(predicted, z[1:], reward_reduction), state
 
     def loss(
         params: Params,
@@ -144,5 +160,5 @@ def prediction(*, gradient: Gradient = "symmetric") -> Signal:
         loss,
         needs_pairs=True,
         name="prediction",
-        settings={"gradient": gradient},
+        settings={"gradient": gradient, "reward_reduction": reward_reduction},
     )

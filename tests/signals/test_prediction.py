@@ -23,6 +23,8 @@ def test_prediction_error_and_loss_random_features_equal_equations_in_float64(se
     a, b, valid = case(seed)
     squared = (np.asarray(a, np.float64) - np.asarray(b, np.float64)) ** 2
     np.testing.assert_allclose(prediction_error(a, b), np.tanh(squared.mean(1)), rtol=1e-5)
+    np.testing.assert_allclose(prediction_error(a, b, "mean"), squared.mean(1), rtol=1e-5)
+    np.testing.assert_allclose(prediction_error(a, b, "half_sum"), squared.sum(1) / 2, rtol=1e-5)
     wanted = squared[np.asarray(valid)].mean()
     np.testing.assert_allclose(prediction_loss(a, b, valid), wanted, rtol=1e-5)
 

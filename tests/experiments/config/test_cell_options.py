@@ -43,7 +43,7 @@ def test_options_of_named_algorithms_and_cells_reach_the_constructors():
     assert "alpha=0.9" in text
     assert "num_hash_bits=10" in text
     text = module_text([*CAR, "algo=icm", "signal.gradient=symmetric", "algo.signal_weight=0.5"])
-    assert "prediction(gradient='symmetric')" in text
+    assert "prediction(gradient='symmetric', " in text
     assert "weights=(0.8, 0.5)" in text
 
 
@@ -55,7 +55,9 @@ def test_options_may_be_given_as_a_mapping():
 def test_defaults_are_those_of_the_algorithm_and_of_the_objectives_experiments():
     assert load_config([*CAR, "algo=sp"]).objective["spread_weight"] == 0.0
     assert load_config([*CAR, "algo=snd_std"]).signal["loss_reduction"] == "sum"
-    assert load_config([*CAR, "algo=icm"]).signal == {"gradient": "detached"}
+    assert load_config([*CAR, "algo=icm"]).signal["gradient"] == "detached"
+    cell = [*CAR, "algo=grid", "algo.objective=none", "algo.signal=prediction"]
+    assert load_config(cell).signal["reward_reduction"] == "tanh_mean"
     rnd = load_config([*CAR, "algo=rnd"]).signal
     assert (rnd["reward_reduction"], rnd["update_proportion"]) == ("half_sum", 0.25)
     for algo in ("rnd", "snd_std", "snd_vinv", "sp", "icm", "snd_byol"):
@@ -113,7 +115,7 @@ network: small
 ppo: {ext_weight: 2.0}
 """
     config = parse_saved(body, "here").config
-    assert config.signal == {"gradient": "symmetric"}
+    assert config.signal["gradient"] == "symmetric"
     assert config.network.name == "small"
     assert config.network.module.activation == "published"
     assert (config.algo.objective_weight, config.algo.signal_weight) == (0.8, 0.2)

@@ -234,7 +234,7 @@ def test_preset_icm_and_e3b_sum_rewards_before_one_value():
         assert config.network.module.features == 32
     icm = of_preset("craftax_icm")
     assert (icm.algo.objective_weight, icm.algo.signal_weight) == (1.0, 1.0)
-    assert icm.signal == {"gradient": "asymmetric"}
+    assert icm.signal == {"gradient": "asymmetric", "reward_reduction": "mean"}
 
 
 def test_preset_noveld_and_ngu_have_the_published_constants():
