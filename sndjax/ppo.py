@@ -196,7 +196,7 @@ def combine_rewards(
       4.30 where r_ext >= 0). It is 0 wherever r_ext is.
 
     Args:
-      hyper: how, and the weights.
+      hyper: how, and the weights; with `ext_weight=1` a sum is eq. 4.1, and not with its default.
       reward: the external reward.
       int_reward: the intrinsic reward.
 

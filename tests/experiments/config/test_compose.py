@@ -1,6 +1,7 @@
 import dataclasses
 import subprocess
 import sys
+from typing import get_args
 
 import pytest
 from hypothesis import given, settings
@@ -12,9 +13,12 @@ from experiments.config import validation as validate
 from experiments.config.option_help import run_help
 from experiments.config.schema import Config, PPOConfig
 from experiments.system.errors import ConfigError
-from sndjax import VECTOR, Hyperparameters
+from sndjax import VECTOR, Hyperparameters, ppo
 from sndjax.algorithms import NAMED
-from sndjax.grid import OBJECTIVES, SIGNALS
+from sndjax.architectures import NETWORKS, Memory
+from sndjax.grid import OBJECTIVES, SIGNALS, ModuleActivation, Pairing
+from sndjax.preprocessing import Preprocess
+from sndjax.scaling import RewardScale
 
 VENTURE = ["env=Venture", "algo=snd_std"]
 
@@ -125,6 +129,22 @@ def test_load_config_preset_and_level_are_those_of_the_committed_table():
     assert (made.algo.eta, made.algo.reward_scale) == (10, "running_std")
     assert (made.ppo.learning_rate, made.ppo.clip, made.ppo.episodic_int) == (5e-4, 0.2, False)
     assert not made.ppo.normalize_advantages
+
+
+def test_option_words_are_those_that_the_library_knows():
+    words = {name: entry.metadata["choices"] for name, entry in validate.config_options()}
+    known = {
+        "combine": ppo.Combine,
+        "ppo.normalize_over": ppo.NormalizeOver,
+        "algo.reward_scale": RewardScale,
+        "algo.preprocess": Preprocess,
+        "algo.pairing": Pairing,
+        "network.activation": ModuleActivation,
+        "network.memory": Memory,
+    }
+    for name, literal in known.items():
+        assert words[name] == get_args(literal), name
+    assert set(validate.group_choices("network")) == set(NETWORKS)
 
 
 def test_load_config_preset_is_the_same_for_all_and_options_override_it():
