@@ -41,11 +41,12 @@ REFERENCE = {
     "agent": (
         "Our own PPO",
         "AgentSpec Hyperparameters IntrinsicConfig TrainState init_train_state make_train_step "
-        "Experience Actor ActOutput act clipped_surrogate generalized_advantage scale_reward",
+        "Experience Actor ActorMemory ActOutput act clipped_surrogate generalized_advantage "
+        "scale_reward",
     ),
     "networks": (
         "Networks and numbers",
-        "Architecture ATARI PROCGEN SMALL VECTOR Encoder ActorCritic MLP Params State "
+        "Architecture ATARI PROCGEN SMALL VECTOR size_for Encoder ActorCritic MLP Params State "
         "RunningStatistics ReturnStatistics masked_mean all_finite skip_nonfinite __version__",
     ),
 }
