@@ -78,7 +78,7 @@ def module_options(algo: AlgoConfig) -> dict[str, Field[Any]]:
     if algo.module is None:
         return {}
     path, name = split_reference("algo.module", algo.module)
-    made = read_constructor(Path(path), name)
+    made = read_constructor(Path(path), name, given=2)  # num_actions, size
     return {f"module.{key}": entry for key, entry in made.options.items()} if made else {}
 
 

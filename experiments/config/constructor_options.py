@@ -70,7 +70,7 @@ def read_source(path: Path) -> ast.Module:
         raise ConfigError(f"{path} cannot be read: {error}") from None
 
 
-def read_constructor(path: Path, name: str) -> Constructor | None:
+def read_constructor(path: Path, name: str, given: int = 0) -> Constructor | None:
     """Return the docstring and the options of a function; None if the file does not define it.
 
     Arguments without a default, and those whose default or type is none of true and false, numbers
@@ -79,6 +79,7 @@ def read_constructor(path: Path, name: str) -> Constructor | None:
     Args:
       path: the file.
       name: of the function.
+      given: the number of its first arguments that are always passed, and are no options.
 
     Raises:
       ConfigError: the file cannot be read.
@@ -88,7 +89,7 @@ def read_constructor(path: Path, name: str) -> Constructor | None:
             text = ast.get_docstring(node) or ""
             meanings = argument_meanings(text)
             found: dict[str, Field[Any]] = {}
-            for argument, default in arguments_with_defaults(node):
+            for argument, default in arguments_with_defaults(node, given):
                 made = make_option(path, argument, default, meanings.get(argument.arg, ""))
                 if made is not None:
                     found[argument.arg] = made
@@ -96,10 +97,19 @@ def read_constructor(path: Path, name: str) -> Constructor | None:
     return None
 
 
-def arguments_with_defaults(node: ast.FunctionDef) -> Iterator[tuple[ast.arg, ast.expr]]:
-    """Yield the arguments that have a default, each with the default."""
+def arguments_with_defaults(
+    node: ast.FunctionDef, given: int = 0
+) -> Iterator[tuple[ast.arg, ast.expr]]:
+    """Yield the arguments that have a default and can be passed by name, each with the default.
+
+    Args:
+      node: the function.
+      given: the number of its first arguments that are left out.
+    """
     names, defaults = [*node.args.posonlyargs, *node.args.args], node.args.defaults
-    yield from zip(names[len(names) - len(defaults) :], defaults, strict=True)
+    without = len(names) - len(defaults)
+    for i in range(max(without, given, len(node.args.posonlyargs)), len(names)):
+        yield names[i], defaults[i - without]
     for name, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
         if default is not None:
             yield name, default

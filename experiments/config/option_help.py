@@ -137,7 +137,7 @@ def module_help(reference: str) -> str:
       ConfigError: the file or the function does not exist.
     """
     path, name = split_reference("algo.module", reference)
-    made = read_constructor(Path(path), name)
+    made = read_constructor(Path(path), name, given=2)  # num_actions, size
     if made is None:
         raise ConfigError(f"--help algo.module={reference}: {path} defines no function {name}")
     return constructor_help("module", name, made, {})

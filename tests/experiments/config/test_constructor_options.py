@@ -106,11 +106,15 @@ def test_read_constructor_of_a_users_file_reads_its_arguments_without_running_it
     assert math.isclose(options["temperature"].default, 0.25)
 
 
-def test_read_constructor_of_a_function_with_positional_arguments_alone(tmp_path):
+def test_read_constructor_leaves_out_what_is_passed_and_what_has_no_name(tmp_path):
     path = tmp_path / "mine.py"
-    path.write_text("def f(n, size=3, t=0.1, /, *, on=True): ...")
-    options = read_constructor(path, "f").options
-    assert {k: v.default for k, v in options.items()} == {"size": 3, "t": 0.1, "on": True}
+    path.write_text("def f(n=1, size=3, t=0.1, *, on=True): ...\ndef g(n, t=0.1, /, u=2): ...")
+    defaults = lambda name, **given: {
+        k: v.default for k, v in read_constructor(path, name, **given).options.items()
+    }
+    assert defaults("f") == {"n": 1, "size": 3, "t": 0.1, "on": True}
+    assert defaults("f", given=2) == {"t": 0.1, "on": True}
+    assert defaults("g") == {"u": 2}
 
 
 def test_read_constructor_of_a_file_without_it_is_none_and_of_a_broken_one_refused(tmp_path):
