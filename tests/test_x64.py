@@ -58,7 +58,7 @@ check(("train_step", "act"), (after, acted))
 """
 
 
-@pytest.mark.parametrize("kind", ["vector", "procgen"])
+@pytest.mark.parametrize("kind", ["vector", pytest.param("procgen", marks=pytest.mark.exhaustive)])
 def test_train_step_with_x64_enabled_keeps_float32_in_every_cell(kind):
     tests = Path(__file__).parent
     path = os.pathsep.join([str(tests), str(tests.parent)])

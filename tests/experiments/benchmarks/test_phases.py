@@ -26,7 +26,10 @@ def quick(monkeypatch):
     [
         ["env=MountainCar", "algo=ppo"],
         ["env=MountainCar", "algo=snd_vic", MODULE, "num_seeds=2", "--whole"],
-        ["env=MountainCar", "env.suite=gymnax", "algo=rnd", MODULE],
+        pytest.param(
+            ["env=MountainCar", "env.suite=gymnax", "algo=rnd", MODULE],
+            marks=pytest.mark.exhaustive,
+        ),
         ["env=Coinrun", "network=small", "algo=ppo"],
     ],
 )

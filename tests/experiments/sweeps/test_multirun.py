@@ -80,7 +80,10 @@ def running(directory):
     ]
 
 
-@pytest.mark.parametrize("launcher", ["joblib", pytest.param("ray", marks=needs("ray"))])
+RAY = pytest.param("ray", marks=[needs("ray"), pytest.mark.survival])  # a minute
+
+
+@pytest.mark.parametrize("launcher", ["joblib", RAY])
 def test_multirun_worker_killed_is_completed_by_running_again(launcher, tmp_path):
     directory = tmp_path / "sweep"
     command = [*EIGHT, *SMALL, "total_steps=8_000", f"hydra/launcher={launcher}"]

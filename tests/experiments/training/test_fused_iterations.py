@@ -202,9 +202,10 @@ def run_with(path, environment, *arguments):
             ["algo=snd_vic", "num_seeds=2"],
             {"XLA_FLAGS": "--xla_force_host_platform_device_count=4"},
         ),
-        (
+        pytest.param(
             ["algo=snd_vic", "num_seeds=2", "network.memory=gru"],
             {"XLA_FLAGS": "--xla_force_host_platform_device_count=4"},
+            marks=pytest.mark.exhaustive,
         ),
     ],
     ids=["side_by_side", "seeds", "mesh", "recurrent_mesh"],
