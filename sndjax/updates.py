@@ -264,7 +264,8 @@ def update_intrinsic_module(
         return start, {}
     key_order, key_loss = jax.random.split(key)
     rows = jnp.arange(rollout.action.size)
-    orders = [key_order, *jax.random.split(key_order, intrinsic.epochs - 1)]
+    later = jax.random.split(jax.random.fold_in(key, 2), intrinsic.epochs - 1)
+    orders = [key_order, *later]  # 0 and 1 are the halves of the key
     passes = [jax.random.permutation(k, rows) if intrinsic.shuffle else rows for k in orders]
     index = jnp.concatenate(passes).reshape(-1, intrinsic.minibatch_size)
     # In order, s_t+1 of most rows is s_t of others; in less than a step of rows, of none.

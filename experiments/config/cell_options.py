@@ -43,13 +43,13 @@ def library_constructor(kind: str, name: str) -> Constructor:
     return made
 
 
-def library_options() -> set[str]:
-    """Return the dotted names of the options of every objective and signal of the library."""
+def library_options() -> dict[str, Field[Any]]:
+    """Return the options of every objective and signal of the library by their dotted names."""
     return {
-        f"{kind}.{key}"
+        f"{kind}.{key}": entry
         for kind in ("objective", "signal")
         for name in module_names(f"{kind}s")
-        for key in library_constructor(kind, name).options
+        for key, entry in library_constructor(kind, name).options.items()
     }
 
 

@@ -102,21 +102,19 @@ def layers(config: Config, overrides: dict[str, Override]) -> Iterator[tuple[str
     """
     chosen = {key: str(overrides[key].value()) for key in ALL_GROUPS if key in overrides}
     chosen.setdefault("network", config.network.name)
-    settings_of_preset: dict[str, Any] = {}
-    for word in preset_arguments(chosen["preset"]) if "preset" in chosen else ():
-        key, _, value = word.partition("=")
-        if key == "algo":
-            chosen.setdefault("algo", value)
-        else:
-            settings_of_preset[key] = value
     if "algo.module" in overrides:
         chosen.setdefault("algo", "module")
+    named: dict[str, Any] = {}  # by the preset
+    if "preset" in chosen and "algo" not in chosen:
+        named = dict(word.partition("=")[::2] for word in preset_arguments(chosen["preset"]))
+        chosen["algo"] = named.pop("algo")
+        named["algo.name"] = chosen["algo"]
     for group in ALL_GROUPS:
         if group in chosen:
             for settings in file_settings(group, chosen[group]):
                 yield f"{group}={chosen[group]}", settings
-    if "preset" in chosen and "algo" not in overrides:
-        yield f"preset={chosen['preset']}", {"algo.name": chosen["algo"], **settings_of_preset}
+    if named:
+        yield f"preset={chosen['preset']}", named
 
 
 def file_settings(group: str, name: str) -> Iterator[dict[str, Any]]:

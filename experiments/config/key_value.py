@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from functools import cache
 
-from .cell_options import library_constructor
-from .library import module_names
+from .cell_options import library_options
 from .overrides import option_kinds
 
 FLAGS = ("-h", "--help", "-m", "--multirun", "--cfg", "--version")  # these have no value
@@ -13,12 +12,8 @@ FLAGS = ("-h", "--help", "-m", "--multirun", "--cfg", "--version")  # these have
 @cache
 def switches() -> set[str]:
     """Return the names of all options of true or false, those of constructors too."""
-    found = {name for name, kind in option_kinds().items() if kind is bool}
-    for kind in ("objective", "signal"):
-        for name in module_names(f"{kind}s"):
-            options = library_constructor(kind, name).options
-            found |= {f"{kind}.{key}" for key, entry in options.items() if entry.type is bool}
-    return found
+    own = {name for name, kind in option_kinds().items() if kind is bool}
+    return own | {name for name, entry in library_options().items() if entry.type is bool}
 
 
 def to_key_value(arguments: Sequence[str]) -> list[str]:
@@ -38,16 +33,13 @@ def to_key_value(arguments: Sequence[str]) -> list[str]:
         name, equals, value = argument.removeprefix("--").partition("=")
         name = name.replace("-", "_")
         if not equals:
-            is_switch = name in switches()
-            if left and (left[0].lower() in ("true", "false") or not is_switch):
-                if left[0].startswith("--"):
-                    found.append(argument)  # refused where it is read, as it was written
-                    continue
-                value = left.pop(0)
-            elif is_switch:
+            following = left[0] if left and not left[0].startswith("--") else None
+            if name in switches() and str(following).lower() not in ("true", "false"):
                 value = "true"
-            else:
-                found.append(argument)
+            elif following is None:
+                found.append(argument)  # refused where it is read, as it was written
                 continue
+            else:
+                value = left.pop(0)
         found.append(f"{name}={value}")
     return found

@@ -1,11 +1,12 @@
 """The text that `sndjax run --help` prints, of all options or of those of one method."""
 
 from collections.abc import Sequence
+from dataclasses import Field
 from pathlib import Path
 from typing import Any
 
 from ..system.errors import ConfigError
-from .cell_options import cell_options, changed_defaults, library_constructor, module_options
+from .cell_options import cell_options, library_constructor, module_options
 from .compose import load_config
 from .constructor_options import Constructor, read_constructor, with_default
 from .help import option_lines, run_option_lines
@@ -90,22 +91,23 @@ def method_help(kind: str, name: str) -> str:
     known = {"objective": OBJECTIVES, "signal": SIGNALS}[kind]
     if name not in known:
         raise unknown_name_error(kind, name, known)
-    return constructor_help(kind, name, library_constructor(kind, name), {})
+    made = library_constructor(kind, name)
+    options = {f"{kind}.{key}": entry for key, entry in made.options.items()}
+    return constructor_help(kind, name, made, options)
 
 
-def constructor_help(kind: str, name: str, made: Constructor, changed: dict[str, Any]) -> str:
+def constructor_help(
+    kind: str, name: str, made: Constructor, options: dict[str, Field[Any]]
+) -> str:
     """Return the text about a constructor and its options.
 
     Args:
       kind: "objective", "signal" or "module".
       name: its name.
       made: the constructor.
-      changed: its defaults that are others here.
+      options: by dotted names, with the defaults that hold; those of other kinds are left out.
     """
-    options = {
-        f"{kind}.{key}": with_default(entry, changed[key]) if key in changed else entry
-        for key, entry in made.options.items()
-    }
+    options = {key: entry for key, entry in options.items() if key.startswith(f"{kind}.")}
     lines = [f"{kind} {name}", *(f"  {line}".rstrip() for line in made.about.splitlines()), ""]
     return "\n".join([*lines, *(option_lines(options.items(), WIDTH) or ["  no options"])])
 
@@ -122,9 +124,9 @@ def algorithm_help(name: str) -> str:
     about = f"algo={name}: {group_choices('algo')[name]}"
     if row is None or row.objective is None:
         return about
-    changed = changed_defaults(AlgoConfig(name=name, objective=row.objective, signal=row.signal))
+    options = cell_options(AlgoConfig(name=name, objective=row.objective, signal=row.signal))
     parts = [
-        constructor_help(kind, own, library_constructor(kind, own), dict(changed.get(kind, {})))
+        constructor_help(kind, own, library_constructor(kind, own), options)
         for kind, own in (("objective", row.objective), ("signal", row.signal))
     ]
     return "\n\n".join([f"{about} ({row.source})", *parts])
@@ -140,7 +142,8 @@ def module_help(reference: str) -> str:
     made = read_constructor(Path(path), name, given=2)  # num_actions, size
     if made is None:
         raise ConfigError(f"--help algo.module={reference}: {path} defines no function {name}")
-    return constructor_help("module", name, made, {})
+    options = {f"module.{key}": entry for key, entry in made.options.items()}
+    return constructor_help("module", name, made, options)
 
 
 def effective_help(arguments: Sequence[str]) -> str:

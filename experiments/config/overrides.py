@@ -67,7 +67,7 @@ def parse_overrides(arguments: list[str]) -> dict[str, Override]:
             hint = text_hint(argument) or f"for a sweep: -m {shell_text(argument)}"
             raise ConfigError(f"'{argument}' names several values; give one ({hint})")
         if key not in known and not key.startswith(FREE_OPTIONS):
-            raise unknown_name_error("option", key, known | library_options())
+            raise unknown_name_error("option", key, known | {*library_options()})
         if key in parsed:
             raise ConfigError(f"'{key}' is given twice")
         parsed[key] = typed_override(override)

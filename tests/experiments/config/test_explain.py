@@ -64,6 +64,16 @@ def test_describe_config_names_the_place_of_each_value():
     assert [line.split("# ")[1] for line in lines if "name: grid" in line] == ["preset=noveld"]
 
 
+def test_describe_config_of_a_users_function_beside_a_preset(tmp_path):
+    (tmp_path / "my.py").write_text("def mine(n, size, heat=2.0): ...")
+    module = f"algo.module={tmp_path / 'my.py'}:mine"
+    text = describe_config(["env=CoinrunEasy", "preset=laptop", module])
+    assert [line.split("# ")[1] for line in text.splitlines() if "name: mine" in line] == [
+        "algo=module"
+    ]
+    assert "heat: 2.0" in text
+
+
 def test_describe_config_of_a_stored_run_names_that(tmp_path):
     text = describe_config(["env=MountainCar", "algo=rnd", "seed=3"])
     (tmp_path / "config.yaml").write_text(text)
