@@ -11,9 +11,11 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from ..config.schema import Config
 from ..environments.pool import Pool
 from ..system.process import available_cores
+from .network_sizes import network_sizes
 from .placement import CPU_DEVICES, SINGLE_DEVICE, SingleDevice
 
 MOST_CORES = 64
+WIDEST = 128  # layers of networks of which one program uses only one core
 
 
 def cores_for(config: Config) -> int:
@@ -52,7 +54,9 @@ def use_cores(config: Config) -> None:
 def place_on_cores(config: Config, pool: Pool) -> SingleDevice:
     """Return the placement on cores for vectors, where jax has them; else that on one device.
 
-    Networks for pixels use all cores already, within their large products.
+    Networks for pixels and wide ones use all cores already, within their large products. Policy and
+    module of wide ones would also wait for each other for long: XLA ends a program whose devices
+    meet more than 40 seconds apart.
 
     Args:
       config: of the run.
@@ -62,7 +66,15 @@ def place_on_cores(config: Config, pool: Pool) -> SingleDevice:
     here = jax.default_backend() == "cpu" and jax.process_count() == 1
     if not here or pool.dtype == np.uint8 or not 1 < cores <= jax.device_count():
         return SINGLE_DEVICE
+    if config.num_seeds == 1 and widest_layer(config, pool) > WIDEST:
+        return SINGLE_DEVICE
     return CpuCores(config.num_seeds, cores)
+
+
+def widest_layer(config: Config, pool: Pool) -> int:
+    """Return the width of the widest layer of the policy's and the module's networks."""
+    sizes = [network_sizes(config, pool, part) for part in ("policy", "module")]
+    return max(width for size in sizes for width in (*size.hidden, size.features))
 
 
 class CpuCores(SingleDevice):
