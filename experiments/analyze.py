@@ -8,7 +8,7 @@ and 5.10. Writes one page, and each part as PNG, SVG and CSV.
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import TRUST, run_command
 from .system.process import run_script
 

@@ -7,7 +7,8 @@ object with the same figures.
 
 from dataclasses import dataclass
 
-from .config.schema import Config, option
+from .config.option import option
+from .config.schema import Config
 from .config.tool_options import run_config_command
 from .system.process import run_script
 

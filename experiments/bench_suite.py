@@ -9,7 +9,7 @@ matrix product rate, so that a slower machine does not look like a regression.
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import run_command
 from .system.process import run_script
 

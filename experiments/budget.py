@@ -15,7 +15,7 @@ core, and the output also gives the share of the GPU's peak that this needs; onl
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import run_command
 from .system.process import run_script
 

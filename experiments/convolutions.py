@@ -11,7 +11,7 @@ check whether the default suits another machine.
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import run_command
 from .system.process import run_script
 

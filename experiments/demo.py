@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .config.command_text import command_text, option_text
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import run_command
 from .system.process import run_script
 from .system.subprocesses import run_command_line

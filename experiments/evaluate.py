@@ -8,7 +8,7 @@ many episodes were complete. The last line is a JSON object.
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import TRUST, run_command, single_run
 from .system.process import run_script
 

@@ -19,7 +19,7 @@ The episodes of the random warm-up at the start of the scripts are not counted.
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import run_command
 from .system.errors import ConfigError
 from .system.files import is_file

@@ -12,7 +12,7 @@ missing.
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import run_command
 from .system.process import run_script
 

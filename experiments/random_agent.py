@@ -7,7 +7,8 @@ reward: if there is none, a novelty bonus can help. keep=10 keeps an action for 
 
 from dataclasses import dataclass
 
-from .config.schema import Config, option
+from .config.option import option
+from .config.schema import Config
 from .config.tool_options import run_config_command
 from .system.process import run_script
 

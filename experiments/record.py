@@ -8,7 +8,7 @@ mp4 (VP9) and a PNG of the most novel frames to RUN_DIR/films/.
 from dataclasses import dataclass
 from pathlib import Path
 
-from .config.schema import option
+from .config.option import option
 from .config.tool_options import TRUST, run_command, single_run
 from .system.process import run_script
 

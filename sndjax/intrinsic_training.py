@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax.intrinsic_module import IntrinsicModule
@@ -16,6 +15,7 @@ from sndjax.optimizer_steps import (
     optimizer_step,
     step_with_rows,
 )
+from sndjax.passes import Pass, run_pass
 from sndjax.rollout import gather_rows, slice_transitions
 from sndjax.scaling import RewardScale, scale_reward
 from sndjax.types import Metrics, Params, ReturnStatistics, Rollout, State
@@ -113,7 +113,7 @@ def reward_metrics(
     }
 
 
-def train_module(
+def module_pass(
     intrinsic: IntrinsicConfig,
     start: IntrinsicTrainState,
     rollout: Rollout,
@@ -122,8 +122,8 @@ def train_module(
     apart: bool = True,
     shard_rows: ShardRows = identity,
     rate: Float[Array, ""] | None = None,
-) -> tuple[IntrinsicTrainState, Metrics]:
-    """Take one optimizer step of an intrinsic module on each of M minibatches.
+) -> Pass:
+    """Return the optimizer steps of an intrinsic module on M minibatches.
 
     Args:
       intrinsic: the module, and how it is trained.
@@ -134,13 +134,8 @@ def train_module(
       apart: False: the rows of a minibatch follow each other, and share their frames.
       shard_rows: see `make_train_step`.
       rate: a factor of the learning rate; None: 1.
-
-    Returns:
-      The module after, and the means of its metrics over minibatches.
     """
     module, optimizer = intrinsic.module, intrinsic.optimizer()
-    if not jax.tree.leaves(start.intrinsic):
-        return start, {}  # nothing is trained
 
     def minibatch(
         carry: IntrinsicTrainState, inputs: tuple[Array, PRNGKeyArray]
@@ -165,6 +160,29 @@ def train_module(
 
         return step_with_rows(step, carry, batch.valid), metrics
 
-    keys = jax.random.split(key, index.shape[0])
-    learned, metrics = lax.scan(minibatch, start, (index, keys))
+    return Pass(minibatch, start, (index, jax.random.split(key, index.shape[0])))
+
+
+def train_module(
+    intrinsic: IntrinsicConfig,
+    start: IntrinsicTrainState,
+    rollout: Rollout,
+    index: Int[Array, "M B"],
+    key: PRNGKeyArray,
+) -> tuple[IntrinsicTrainState, Metrics]:
+    """Take one optimizer step of an intrinsic module on each of M minibatches.
+
+    Args:
+      intrinsic: the module, and how it is trained.
+      start: the module before.
+      rollout: what it is trained on.
+      index: rows of the flattened rollout; a row that does not exist does not count.
+      key: of the module's draws.
+
+    Returns:
+      The module after, and the means of its metrics over minibatches.
+    """
+    if not jax.tree.leaves(start.intrinsic):
+        return start, {}  # nothing is trained
+    learned, metrics = run_pass(module_pass(intrinsic, start, rollout, index, key))
     return learned, mean_metrics(metrics)

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +28,7 @@ from sndjax.statistics import (
     update_running_statistics,
 )
 from sndjax.types import Experience, Metrics, ReturnStatistics, RunningStatistics, TrainState
-from sndjax.updates import update_intrinsic_module, update_policy
+from sndjax.updates import PolicyState, update_intrinsic_module, update_policy
 from sndjax.vmap_hint import hint_under_vmap
 
 
@@ -139,6 +140,92 @@ def normalize_external(
     return batch._replace(reward=reward), state._replace(ext_returns=ext_returns)
 
 
+class LearningStart(NamedTuple):
+    """An iteration's learning before its first optimizer step.
+
+    Attributes:
+      state: with the rewards read; weights, key and iteration are those before.
+      batch: the rollout as networks and losses get it.
+      advantage: of both reward streams together.
+      target: of every value head.
+      key: of the next iteration.
+      key_policy: of the order of the policy's minibatches.
+      key_module: of the module's order and draws.
+      observations: the statistics of observations, this rollout's included.
+      metrics: of the rewards.
+      int_reward: the intrinsic rewards.
+    """
+
+    state: TrainState
+    batch: Experience
+    advantage: Float[Array, "T N"]
+    target: Float[Array, "T N K"]
+    key: PRNGKeyArray
+    key_policy: PRNGKeyArray
+    key_module: PRNGKeyArray
+    observations: RunningStatistics
+    metrics: Metrics
+    int_reward: Float[Array, "T N"]
+
+
+def begin_learning(agent: AgentSpec, state: TrainState, batch: Experience) -> LearningStart:
+    """Compute everything of an iteration's learning that comes before the optimizer steps.
+
+    Args:
+      agent: what learns.
+      state: before.
+      batch: the rollout.
+    """
+    batch = zero_reset_rows(match_dtype(batch, state.policy))
+    raw, valid = batch.rollout.frames, batch.rollout.valid
+    scale = lambda x: scale_observations(agent, x, state.observations)
+    batch = batch._replace(
+        history=scale(batch.history), rollout=batch.rollout._replace(frames=scale(raw))
+    )
+    # Acting folds 1 into the state's key; folding 0 keeps these draws apart from those.
+    key, key_reward, key_policy, key_module = jax.random.split(jax.random.fold_in(state.key, 0), 4)
+    state, int_reward, metrics = compute_intrinsic_rewards(agent, state, batch, key_reward)
+    if agent.ppo.normalize_rewards:
+        batch, state = normalize_external(agent, batch, state)
+    advantage, target = ppo.compute_advantages(agent.ppo, batch, int_reward)
+    observations = state.observations
+    if any(agent.unbounded) or agent.ppo.normalize_observations:
+        observations = update_running_statistics(observations, raw[:-1], valid)
+    return LearningStart(
+        state=state,
+        batch=batch,
+        advantage=advantage,
+        target=target,
+        key=key,
+        key_policy=key_policy,
+        key_module=key_module,
+        observations=observations,
+        metrics=metrics,
+        int_reward=int_reward,
+    )
+
+
+def finish_learning(
+    start: LearningStart, policy: PolicyState, module: IntrinsicTrainState, terms: Metrics
+) -> tuple[TrainState, Metrics, Float[Array, "T N"]]:
+    """Return the state after an iteration, its metrics and its intrinsic rewards.
+
+    Args:
+      start: the learning before the optimizer steps.
+      policy: after them.
+      module: after them.
+      terms: the metrics of both.
+    """
+    state = start.state._replace(
+        **policy._asdict(),
+        **module._asdict(),
+        observations=start.observations,
+        key=start.key,
+        iteration=hint_under_vmap(start.state.iteration) + 1,
+    )
+    return state, start.metrics | terms, start.int_reward
+
+
 def make_train_step(
     agent: AgentSpec, shard_rows: ShardRows = identity, beside: str | None = None
 ) -> Callable[[TrainState, Experience], tuple[TrainState, Metrics, Float[Array, "T N"]]]:
@@ -172,35 +259,19 @@ def make_train_step(
     def train_step(
         state: TrainState, batch: Experience
     ) -> tuple[TrainState, Metrics, Float[Array, "T N"]]:
-        batch = zero_reset_rows(match_dtype(batch, state.policy))
-        raw, valid = batch.rollout.frames, batch.rollout.valid
-        scale = lambda x: scale_observations(agent, x, state.observations)
-        batch = batch._replace(
-            history=scale(batch.history), rollout=batch.rollout._replace(frames=scale(raw))
-        )
-        # Acting folds 1 into the state's key; folding 0 keeps these draws apart from those.
-        key, key_reward, key_policy, key_module = jax.random.split(
-            jax.random.fold_in(state.key, 0), 4
-        )
-        state, int_reward, metrics = compute_intrinsic_rewards(agent, state, batch, key_reward)
-        if agent.ppo.normalize_rewards:
-            batch, state = normalize_external(agent, batch, state)
-        advantage, target = ppo.compute_advantages(agent.ppo, batch, int_reward)
+        start = begin_learning(agent, state, batch)
+        estimate = (start.advantage, start.target)
         learn_policy = lambda: update_policy(
-            agent, state, batch, advantage, target, key_policy, shard_rows
+            agent, start.state, start.batch, *estimate, start.key_policy, shard_rows
         )
-        learn_module = lambda: update_intrinsic_module(agent, state, batch, key_module, shard_rows)
+        learn_module = lambda: update_intrinsic_module(
+            agent, start.state, start.batch, start.key_module, shard_rows
+        )
         (policy, policy_terms), (module, module_terms) = (
             (learn_policy(), learn_module())
             if beside is None
             else run_side_by_side(beside, learn_policy, learn_module)
         )
-        state = state._replace(**policy._asdict(), **module._asdict())
-        metrics |= policy_terms | module_terms
-        if any(agent.unbounded) or agent.ppo.normalize_observations:
-            moments = update_running_statistics(state.observations, raw[:-1], valid)
-            state = state._replace(observations=moments)
-        iteration = hint_under_vmap(state.iteration) + 1
-        return state._replace(key=key, iteration=iteration), metrics, int_reward
+        return finish_learning(start, policy, module, policy_terms | module_terms)
 
     return train_step

@@ -13,8 +13,9 @@ from helpers.corridors import corridor
 import sndjax
 from sndjax import actor_critic
 from sndjax.acting import unroll
+from sndjax.policy_minibatches import minibatch_orders
 from sndjax.rollout import make_frame_stacker
-from sndjax.updates import minibatch_orders, update_policy
+from sndjax.updates import update_policy
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 STEPS, ENVS = 12, 6

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sndjax
-from experiments.training.agents import init_states, map_over_seeds
+from experiments.training.agents import init_states
+from experiments.training.seeds import map_over_seeds
 from sndjax import ppo
 from sndjax.updates import update_intrinsic_module
 

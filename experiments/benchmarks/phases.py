@@ -22,10 +22,9 @@ from ..config.schema import Config
 from ..system.errors import ConfigError
 from ..system.process import enable_compilation_cache
 from ..system.versions import versions
-from ..training.agents import map_over_seeds
 from ..training.experiment import build_experiment
-from ..training.rollouts import init_hidden
 from ..training.scan_collector import ScanCollector
+from ..training.seeds import map_over_seeds
 from .analytic_flops import flops_per_step
 from .phase_table import phase_table
 from .timing import BenchmarkTimer, device_name, print_line
@@ -107,14 +106,11 @@ class PhaseBenchmark:
             collect = self.collector.collect
             return {"collecting": self.timer.seconds(lambda: collect(self.actor()))}
         times = config.rollout_length / steps
-        pool_states, pool = self.collector.pool_states, self.experiment.pool
+        collector, pool = self.collector, self.experiment.pool
+        pool_states, actor = collector.pool_states, self.actor()
         rows = (config.num_seeds, config.num_envs // len(pool_states))
         draw = np.random.default_rng(0)
         actions = draw.integers(0, pool.num_actions, (steps, *rows), np.int32)
-        frame, actor = pool.reset(), self.actor()
-        window = np.zeros((rows[0], config.env.stack, *frame.shape[1:]), pool.dtype)
-        memory: Any = sndjax.ActorMemory(window, init_hidden(self.agent.network, *rows))  # type: ignore
-        first = np.ones(rows, bool)
 
         def stepping() -> None:
             for chosen in actions:
@@ -124,11 +120,11 @@ class PhaseBenchmark:
                     state.pool.receive()
 
         def acting() -> None:
-            kept = memory
+            collector.open_rollout()
             for t in range(steps):
-                for _ in pool_states:
-                    output, kept = self.experiment.act(actor, kept, frame, first, np.int32(t))
-                    np.asarray(output.executed)
+                for k in range(len(pool_states)):
+                    collector.acting.local_rows(collector.act(k, actor, t))
+            collector.take_records()
 
         found = {"environment": times * self.timer.seconds(stepping)}
         found["acting"] = times * (1 + 1 / config.rollout_length) * self.timer.seconds(acting)

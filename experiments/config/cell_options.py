@@ -19,7 +19,8 @@ from .library import (
     library_path,
     module_names,
 )
-from .schema import AlgoConfig, Config, option
+from .option import option
+from .schema import AlgoConfig, Config
 from .user_function import split_reference
 from .validation import check_range, unknown_name_error, whole_number
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from ..system.errors import ConfigError
 from .library import library_path
-from .schema import option
+from .option import option
 
 KINDS = {"bool": bool, "int": int, "float": float, "str": str}
 OPERATORS: dict[type, Any] = {

@@ -1,6 +1,5 @@
 """The typed configuration: every option with its default, its range and its meaning."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,34 +7,10 @@ from omegaconf import MISSING
 
 from .jax_suites import JAX_SUITES
 from .library import module_names
+from .option import option
 
 OBJECTIVES = ("none", *module_names("objectives"))
 SIGNALS = module_names("signals")
-
-
-def option(
-    default: Any,
-    about: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    above: float | None = None,
-    choices: Sequence[str] | None = None,
-) -> Any:
-    """Return a dataclass field with its meaning and its range.
-
-    Args:
-      default: the default value.
-      about: the meaning of the option, for `--help`.
-      low: the smallest allowed value, or None.
-      high: the largest allowed value, or None.
-      above: a bound that values must exceed, not itself allowed, or None.
-      choices: the allowed values, or None.
-    """
-    metadata = {"about": about, "low": low, "high": high, "above": above, "choices": choices}
-    if isinstance(default, dict):
-        return field(default_factory=lambda: dict(default), metadata=metadata)
-    return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -253,6 +228,19 @@ class Config:
         "agent; default: those of this process",
         low=1,
         high=1024,
+    )
+    overlap: int = option(
+        0,
+        "iterations that a policy acts behind: with 1 the next rollout is collected while the last "
+        "one is learned from (docs/overlap.md)",
+        low=0,
+        high=1,
+    )
+    precision: str | None = option(
+        None,
+        "of matrix products: float32, or operands rounded to tf32 (10 bits) or bf16 (7); default: "
+        "the device's, float32 on a CPU and tf32 on a GPU",
+        choices=("float32", "tf32", "bf16"),
     )
     num_envs: int = option(128, "environments per seed", low=1, high=65536)
     rollout_length: int = option(128, "steps per iteration and environment", low=1, high=65536)

@@ -57,7 +57,7 @@ def parse_arguments(arguments: Sequence[str], kind: type[Options]) -> tuple[list
       ConfigError: an option does not exist, is given twice, has no value, or is out of its range.
 
     >>> from dataclasses import dataclass
-    >>> from experiments.config.schema import option
+    >>> from experiments.config.option import option
     >>> @dataclass(frozen=True)
     ... class Own:
     ...     out: str = option("report", "where it goes")
@@ -202,7 +202,7 @@ def split_arguments(arguments: Sequence[str], kind: Any) -> tuple[list[str], lis
     """Return the arguments that are options of `kind`, and all other arguments.
 
     >>> from dataclasses import dataclass
-    >>> from experiments.config.schema import option
+    >>> from experiments.config.option import option
     >>> @dataclass(frozen=True)
     ... class Own:
     ...     updates: int = option(10, "how many")

@@ -17,6 +17,7 @@ from ..config.schema import Config
 from ..environments.pool import Pool
 from .network_sizes import module_activation, network_sizes
 from .placement import SINGLE_DEVICE, SingleDevice
+from .seeds import map_over_seeds
 from .user_module import load_module
 
 
@@ -117,32 +118,6 @@ def make_encode(agent: sndjax.AgentSpec) -> Callable[..., Any] | None:
         return features(state.intrinsic, state.intrinsic_state, seen, action)
 
     return encode
-
-
-def map_over_seeds(
-    function: Callable[..., Any], seeds: int, shared: int = 0, axis: str | None = None
-) -> Callable[..., Any]:
-    """Return a function that applies `function` to every seed, leaves [S, ...].
-
-    For a single seed there is no vmap; the axis is removed and added again, because a batch axis
-    of one costs time on a CPU.
-
-    Args:
-      function: a function of one seed.
-      seeds: S, the number of seeds.
-      shared: the number of its last arguments that are the same for all seeds.
-      axis: on several devices, the name of the mesh's axis of seeds.
-    """
-    if seeds > 1:
-        in_axes = lambda args: [0] * (len(args) - shared) + [None] * shared
-        return lambda *args: jax.vmap(function, in_axes(args), spmd_axis_name=axis)(*args)
-
-    def single(*args: Any) -> Any:
-        own, same = args[: len(args) - shared], args[len(args) - shared :]
-        result = function(*jax.tree.map(lambda x: x[0], own), *same)
-        return jax.tree.map(lambda x: x[None], result)
-
-    return single
 
 
 def init_states(agent: sndjax.AgentSpec, seeds: list[int], example: Any) -> sndjax.TrainState:

@@ -12,7 +12,7 @@ from ..config.schema import Config
 from ..environments.pool import Pool
 from ..system.process import available_cores
 from .network_sizes import network_sizes
-from .placement import CPU_DEVICES, SINGLE_DEVICE, SingleDevice
+from .placement import CPU_DEVICES, SingleDevice, acts_apart
 
 MOST_CORES = 64
 WIDEST = 128  # layers of networks of which one program uses only one core
@@ -39,6 +39,9 @@ def usable_cores() -> int:
 def use_cores(config: Config) -> None:
     """Let jax treat cores of this CPU as devices, unless it has started or devices were set.
 
+    Policies that act while others learn get one more device than there are cores: acting takes
+    little of a core, and waits for environments.
+
     Args:
       config: of the run, for its number of cores.
     """
@@ -46,12 +49,12 @@ def use_cores(config: Config) -> None:
     if config.distributed or "xla_force_host_platform_device_count" in flags:
         return
     try:
-        jax.config.update(CPU_DEVICES, cores_for(config))
+        jax.config.update(CPU_DEVICES, cores_for(config) + acts_apart(config))
     except RuntimeError:  # jax has computed already
         return
 
 
-def place_on_cores(config: Config, pool: Pool) -> SingleDevice:
+def place_on_cores(config: Config, pool: Pool, placement: SingleDevice) -> SingleDevice:
     """Return the placement on cores for vectors, where jax has them; else that on one device.
 
     Networks for pixels and wide ones use all cores already, within their large products. Policy and
@@ -61,14 +64,15 @@ def place_on_cores(config: Config, pool: Pool) -> SingleDevice:
     Args:
       config: of the run.
       pool: its environments.
+      placement: the one on one device.
     """
-    cores = cores_for(config)
+    cores, apart = cores_for(config), placement.acting is not placement
     here = jax.default_backend() == "cpu" and jax.process_count() == 1
-    if not here or pool.dtype == np.uint8 or not 1 < cores <= jax.device_count():
-        return SINGLE_DEVICE
+    if not here or pool.dtype == np.uint8 or not 1 < cores <= jax.device_count() - apart:
+        return placement
     if config.num_seeds == 1 and widest_layer(config, pool) > WIDEST:
-        return SINGLE_DEVICE
-    return CpuCores(config.num_seeds, cores)
+        return placement
+    return CpuCores(config.num_seeds, cores, placement.acting if apart else None)
 
 
 def widest_layer(config: Config, pool: Pool) -> int:
@@ -84,7 +88,15 @@ class CpuCores(SingleDevice):
     same, except that one trains the policy while the other trains the module.
     """
 
-    def __init__(self, seeds: int, cores: int):
+    def __init__(self, seeds: int, cores: int, acting: SingleDevice | None = None):
+        """Create the mesh.
+
+        Args:
+          seeds: the number of seeds of the run.
+          cores: the number of cores that learn.
+          acting: the placement of policies that act; None: the first core.
+        """
+        super().__init__(acting=acting or SingleDevice(jax.devices()[0]))
         self.mesh = Mesh(np.array(jax.devices()[:cores]), ("cores",))
         self.cores = cores
         self.beside = "cores" if seeds == 1 else None
@@ -119,6 +131,3 @@ class CpuCores(SingleDevice):
 
     def put_states(self, states: Any) -> Any:
         return jax.device_put(states, NamedSharding(self.mesh, self.spec))
-
-    def put_actor(self, actor: Any) -> Any:
-        return jax.device_put(actor, jax.devices()[0])

@@ -17,7 +17,7 @@ from ..environments.pool import Pool
 from ..environments.pools import EnvpoolPool, make_pools
 from ..system.errors import ConfigError
 from ..system.process import available_memory
-from .agents import build_agent, init_states, make_seeds_train_step, map_over_seeds
+from .agents import build_agent, init_states, make_seeds_train_step
 from .cpu_cores import place_on_cores
 from .placement import SINGLE_DEVICE, SingleDevice
 from .rollouts import Collector, choose_num_pools
@@ -27,6 +27,7 @@ from .scan_collector import (
     make_envpool_collect,
     make_jax_collect,
 )
+from .seeds import map_over_seeds
 
 START_STREAM = 3  # folded into a seed's key for the environments' first resets
 
@@ -51,7 +52,6 @@ class Experiment(NamedTuple):
       pools: its environments, in groups that step independently.
       agent: the agent that learns.
       placement: the devices that compute.
-      act: `sndjax.act` of every seed, compiled on its first call.
       example: zeros of the shape and dtype of frames [N, *frame].
     """
 
@@ -59,7 +59,6 @@ class Experiment(NamedTuple):
     pools: list[Pool]
     agent: sndjax.AgentSpec
     placement: SingleDevice
-    act: Callable[..., Any]
     example: jax.Array
 
     @property
@@ -100,21 +99,15 @@ class Experiment(NamedTuple):
     def make_collector(self) -> Collector | ScanCollector:
         """Reset the environments, and return the collector of their rollouts."""
         pool, agent, config = self.pool, self.agent, self.config
-        here = jax.default_backend() == "cpu" and self.placement.axis is None
+        acting = self.placement.acting
+        here = jax.default_backend() == "cpu" and acting.axis is None
         if pool.environment is not None:
             live = self.init_environments(self.init_states())
             return ScanCollector(pool, make_jax_collect(pool.environment, agent, config), live)
         if here and isinstance(pool, EnvpoolPool) and pool.dtype != np.uint8:
-            live = first_environments(pool, config.env.stack, agent.network)
+            live = acting.put(first_environments(pool, config.env.stack, agent.network))
             return ScanCollector(pool, make_envpool_collect(pool, agent, config), live)
-        return Collector(
-            pools=self.pools,
-            act=self.act,
-            stack=self.config.env.stack,
-            steps=self.config.rollout_length,
-            network=self.agent.network,
-            place=self.placement.put_frames,
-        )
+        return Collector(self.pools, agent, config, self.placement.acting)
 
     def make_train_step(self) -> Callable[..., Any]:
         """Return `train_step` of every seed, leaves [S, ...], not jitted."""
@@ -171,13 +164,12 @@ def build_experiment(
             placement.local_env_slice(config.num_envs),
         )
         check_rollout_memory(config, pools[0])
-    if placement is SINGLE_DEVICE:
-        placement = place_on_cores(config, pools[0])
+    if type(placement) is SingleDevice:
+        placement = place_on_cores(config, pools[0], placement)
     agent = build_agent(config, pools[0])
     example = jnp.zeros((config.num_envs, *pools[0].shape), pools[0].dtype)
     try:
         jax.eval_shape(partial(sndjax.init_train_state, agent), jax.random.key(0), example)
     except ValueError as error:  # the objective does not support this environment
         raise ConfigError(f"algo={config.algo.name}: {error}") from None
-    act = map_over_seeds(partial(sndjax.act, agent), config.num_seeds, 1, placement.axis)
-    return Experiment(config, pools, agent, placement, placement.compile_act(act), example)
+    return Experiment(config, pools, agent, placement, example)

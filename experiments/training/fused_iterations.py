@@ -11,11 +11,12 @@ from jax import lax
 
 import sndjax
 
-from .agents import make_seed_train_step, map_over_seeds
+from .agents import make_seed_train_step
 from .experiment import Experiment, RunState
 from .iterations import GRACE_SECONDS, IterationResult, Watch
 from .rollouts import RolloutInfo
 from .scan_collector import make_jax_collect
+from .seeds import map_over_seeds
 
 CALL_SECONDS = 1.0  # about as long as a call lasts: signals and checkpoints wait for its end
 MOST_BYTES = 64 << 20  # of the results of a call

@@ -8,7 +8,7 @@ first host writes them.
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -18,8 +18,10 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from sndjax import ActorMemory, Experience
 
+from ..config.jax_suites import JAX_SUITES
 from ..config.schema import Config
 from ..system.errors import ConfigError
+from .recorder import Opening, Record, Recorded, Recorder
 
 CPU_DEVICES = "jax_num_cpu_devices"  # jax declares no such attribute
 HOST_VARIABLES = ("JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
@@ -63,9 +65,10 @@ def assert_equal_on_hosts(value: int, otherwise: str) -> None:
 
 
 class SingleDevice:
-    """The placement on one device, jax's default. `DeviceMesh` gives the same results on several.
+    """The placement on one device. `DeviceMesh` gives the same results on several.
 
     Attributes:
+      acting: the placement of policies that act: this one, or that on a device of their own.
       hosts: the number of processes of the run.
       is_leader: whether this process writes the files of the run.
       axis: the name of the mesh's axis of seeds; None without a mesh.
@@ -77,6 +80,15 @@ class SingleDevice:
     is_leader = True
     axis: str | None = None
     beside: str | None = None
+
+    def __init__(self, device: jax.Device | None = None, acting: "SingleDevice | None" = None):
+        """Choose the device.
+
+        Args:
+          device: the device; None: jax's default.
+          acting: the placement of policies that act, if it is another one.
+        """
+        self.device, self.acting = device, acting or self
 
     def seeds_here(self, seeds: int) -> int:
         """Return the number of seeds that a compiled function sees."""
@@ -90,9 +102,25 @@ class SingleDevice:
         """Return the slice of all environments that this host steps."""
         return slice(0, num_envs)
 
-    def compile_act(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return `sndjax.act` of all seeds, jitted."""
-        return jax.jit(function)
+    def put(self, tree: Any) -> Any:
+        """Return a tree on this device."""
+        return tree if self.device is None else jax.device_put(tree, self.device)
+
+    def compile_recorder(self, recorder: Recorder) -> Recorder:
+        """Return the programs that record rollouts, jitted."""
+        return Recorder(
+            open=jax.jit(recorder.open, donate_argnums=0),
+            act=jax.jit(recorder.act, donate_argnums=1),
+            join=jax.jit(recorder.join),
+        )
+
+    def put_memory(self, memory: ActorMemory) -> ActorMemory:
+        """Return the first memory of this host's environments, on the devices that act."""
+        return self.put(memory)
+
+    def local_rows(self, array: Any) -> np.ndarray:
+        """Wait for an array [S, n] on the devices that act, and return this host's part."""
+        return np.asarray(array)
 
     def compile_train_step(self, function: Callable[..., Any]) -> Any:
         """Return `train_step` of all seeds, jitted. The state is donated: its memory is reused."""
@@ -104,19 +132,15 @@ class SingleDevice:
 
     def put_actor(self, actor: Any) -> Any:
         """Return the part of the states that acts, on the devices that act."""
-        return actor
-
-    def put_frames(self, frame: np.ndarray) -> Any:
-        """Copy frames [S, n, ...] of this host's environments to the devices that learn."""
-        return jax.device_put(frame)
+        return self.acting.put(actor)
 
     def put_batch(self, batch: Any) -> Any:
         """Return a batch of this host's environments in the form that `train_step` expects."""
-        return batch
+        return self.put(batch)
 
     def put_states(self, states: Any) -> Any:
         """Return the states of all seeds, sharded over the devices that learn."""
-        return states
+        return self.put(states)
 
     def gather_hosts(self, tree: Any) -> Any:
         """Return the arrays [S, T, n, ...] of all hosts, joined along the environments."""
@@ -147,17 +171,27 @@ SINGLE_DEVICE = SingleDevice()
 class DeviceMesh(SingleDevice):
     """The placement of seeds and environments on a mesh of several devices."""
 
-    def __init__(self, num_seeds: int, num_envs: int):
+    def __init__(
+        self,
+        num_seeds: int,
+        num_envs: int,
+        devices: Sequence[jax.Device] | None = None,
+        acting: SingleDevice | None = None,
+    ):
         """Create the mesh.
 
         Args:
           num_seeds: the number of seeds of the run.
           num_envs: the number of environments of each seed.
+          devices: of all hosts; None: all there are.
+          acting: the placement of policies that act, if it is another one.
 
         Raises:
           ConfigError: the environments cannot be divided among the devices.
         """
-        self.hosts, own = jax.process_count(), jax.local_device_count()
+        super().__init__(acting=acting)
+        devices = jax.devices() if devices is None else devices
+        self.hosts, own = jax.process_count(), len(devices) // jax.process_count()
         self.is_leader = jax.process_index() == 0
         seeds = math.gcd(num_seeds, own)
         across = self.hosts * own // seeds
@@ -167,7 +201,7 @@ class DeviceMesh(SingleDevice):
                 f"num_seeds={num_seeds} it must be a multiple of {across} "
                 "(or show fewer devices: CUDA_VISIBLE_DEVICES=0)"
             )
-        order = sorted(jax.devices(), key=lambda device: (device.process_index, device.id))
+        order = sorted(devices, key=lambda device: (device.process_index, device.id))
         grid = np.array(order).reshape(self.hosts, seeds, own // seeds)
         self.mesh = Mesh(grid.transpose(1, 0, 2).reshape(seeds, across), ("seeds", "envs"))
         self.axis = "seeds"
@@ -184,36 +218,60 @@ class DeviceMesh(SingleDevice):
         part, own = num_envs // self.hosts, jax.process_index()
         return slice(own * part, (own + 1) * part)
 
-    def put(self, array: Any, *axes: str | None) -> Any:
+    def put_part(self, array: Any, *axes: str | None) -> Any:
         """Return the sharded array over all devices of which this host has the rows `array`."""
-        if isinstance(array, jax.Array):
-            return array
+        if isinstance(array, jax.Array):  # on the mesh already, or where policies act apart
+            return array if self.hosts > 1 else jax.device_put(array, self.sharding(*axes))
         return jax.make_array_from_process_local_data(self.sharding(*axes), array)
 
-    def put_frames(self, frame: np.ndarray) -> Any:
-        return self.put(frame, "seeds", "envs")
+    def put(self, tree: Any) -> Any:
+        return tree  # what acts is on the mesh already
 
-    def compile_act(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        rows: Any = self.sharding("seeds", "envs")
-        stacks: Any = self.sharding("seeds", None, "envs")
-        memories = ActorMemory(window=stacks, hidden=rows)
-        compiled = jax.jit(
-            function,
-            in_shardings=(self.sharding("seeds"), memories, rows, rows, self.sharding()),
-            out_shardings=(rows, memories),
+    def compile_recorder(self, recorder: Recorder) -> Recorder:
+        rows, columns = self.sharding("seeds", "envs"), self.sharding("seeds", None, "envs")
+        memory = self.memory_shardings()
+        record = Record(memory=memory, **dict.fromkeys(Record._fields[1:], columns))
+        opening = Opening(history=columns, hidden=rows)
+        joined = dict.fromkeys(Recorded._fields, columns) | {"hidden": rows}
+        own: Any = (rows, rows)
+        open_record = jax.jit(
+            recorder.open,
+            donate_argnums=0,
+            in_shardings=(memory, *own),
+            out_shardings=(record, opening),
+        )
+        act_record = jax.jit(
+            recorder.act,
+            donate_argnums=1,
+            in_shardings=(self.sharding("seeds"), record, *own, *2 * [self.sharding()]),
+            out_shardings=(rows, record),
+        )
+        put = lambda x: self.put_part(x, "seeds", "envs")
+
+        def act(actor: Any, record: Record, frame: Any, first: Any, t: Any, draw: Any) -> Any:
+            return act_record(actor, record, put(frame), put(first), t, draw)
+
+        return Recorder(
+            open=lambda memory, frame, first: open_record(memory, put(frame), put(first)),
+            act=act,
+            join=jax.jit(recorder.join, out_shardings=Recorded(**joined)),
         )
 
-        def act(actor: Any, memory: ActorMemory, frame: Any, first: Any, step: Any) -> Any:
-            window = self.put(memory.window, "seeds", None, "envs")
-            hidden, frame, first = jax.tree.map(
-                lambda x: self.put(x, "seeds", "envs"), (memory.hidden, frame, first)
-            )
-            output, memory = compiled(actor, ActorMemory(window, hidden), frame, first, step)
-            local = multihost_utils.global_array_to_host_local_array
-            own = local(output, self.mesh, PartitionSpec("seeds", "envs"))
-            return jax.tree.map(np.asarray, own), memory
+    def memory_shardings(self) -> ActorMemory:
+        """Return the sharding of what policies remember."""
+        window: Any = self.sharding("seeds", None, "envs")
+        hidden: Any = self.sharding("seeds", "envs")
+        return ActorMemory(window=window, hidden=hidden)
 
-        return act
+    def put_memory(self, memory: ActorMemory) -> ActorMemory:
+        window = self.put_part(memory.window, "seeds", None, "envs")
+        return ActorMemory(
+            window, jax.tree.map(lambda x: self.put_part(x, "seeds", "envs"), memory.hidden)
+        )
+
+    def local_rows(self, array: Any) -> np.ndarray:
+        local = multihost_utils.global_array_to_host_local_array
+        return np.asarray(local(array, self.mesh, PartitionSpec("seeds", "envs")))
 
     def compile_train_step(self, function: Callable[..., Any]) -> Any:
         states = self.sharding("seeds")
@@ -241,12 +299,12 @@ class DeviceMesh(SingleDevice):
 
     def put_batch(self, batch: Experience) -> Experience:
         rows = jax.tree.map(self.put_rows, batch._replace(hidden=None))
-        hidden = jax.tree.map(lambda x: self.put(x, "seeds", "envs"), batch.hidden)
+        hidden = jax.tree.map(lambda x: self.put_part(x, "seeds", "envs"), batch.hidden)
         return rows._replace(hidden=hidden)
 
     def put_rows(self, rows: Any) -> Any:
         """Return the sharded array over all devices of this host's rows [S, T, n, ...]."""
-        return self.put(rows, "seeds", None, "envs")
+        return self.put_part(rows, "seeds", None, "envs")
 
     def put_states(self, states: Any) -> Any:
         def laid(x: Any) -> Any:
@@ -290,11 +348,25 @@ class DeviceMesh(SingleDevice):
 def choose_placement(config: Config) -> SingleDevice:
     """Return the placement of a configuration on the available devices.
 
+    With overlap=1 and two devices or more, the last one acts and the others learn, each without
+    waiting for the other. Environments in JAX act and learn in one program, on the same devices.
+
     Raises:
       ConfigError: the environments cannot be divided among the devices.
     """
     cores = getattr(jax.config, CPU_DEVICES)  # set by `use_cores`: see `place_on_cores`
     on_cores = jax.default_backend() == "cpu" and jax.device_count() == cores
-    if jax.device_count() == 1 or on_cores:
+    if jax.device_count() == 1 or (on_cores and not acts_apart(config)):
         return SINGLE_DEVICE
-    return DeviceMesh(config.num_seeds, config.num_envs)
+    if not acts_apart(config):
+        return DeviceMesh(config.num_seeds, config.num_envs)
+    *learning, last = jax.devices()
+    acting = SingleDevice(last)
+    if on_cores or len(learning) == 1:
+        return SingleDevice(learning[0], acting)
+    return DeviceMesh(config.num_seeds, config.num_envs, learning, acting)
+
+
+def acts_apart(config: Config) -> bool:
+    """Return True if policies can act on a device of their own, while the others learn."""
+    return config.overlap > 0 and config.env.suite not in JAX_SUITES

@@ -1,6 +1,6 @@
-"""The collection of rollouts: the policy acts, the pools step, every frame is stored once.
+"""The collection of rollouts: policies act, pools step, every frame goes to the device once.
 
-With two pools, the environments of one pool step while the policy acts in the other.
+With two pools, the environments of one pool step while policies act in the other.
 """
 
 from collections.abc import Callable
@@ -8,14 +8,25 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from sndjax import Actor, ActorCritic, ActorMemory, ActOutput, Experience, Rollout
+from sndjax import Actor, ActorCritic, ActorMemory, AgentSpec, Experience, Rollout
 
 from ..config.schema import Config
 from ..environments.pool import EnvStep, Pool
-from .frame_buffers import DeviceFrames, HostFrames
+from .placement import SingleDevice
+from .recorder import Opening, Record, first_memory, init_hidden, make_recorder
+
+# What the environments return in every step.
+COLUMNS: dict[str, Any] = {
+    "first": bool,
+    "done": bool,
+    "game_over": bool,
+    "valid": bool,
+    "reward": np.float32,
+    "truncated": bool,
+    "score": np.float32,
+}
 
 
 class RolloutInfo(NamedTuple):
@@ -57,18 +68,6 @@ def experience_spec(config: Config, pool: Pool, network: ActorCritic) -> Experie
     )
 
 
-def init_hidden(network: ActorCritic, seeds: int, envs: int) -> Any:
-    """Return the recurrent state of every seed before an episode, [S, N, d]; None without any.
-
-    Args:
-      network: the policy.
-      seeds: S.
-      envs: N.
-    """
-    one = network.initial_memory(envs)
-    return None if one is None else np.zeros((seeds, *one.shape), one.dtype)
-
-
 def choose_num_pools(num_envs: int) -> int:
     """Return the number of pools that the environments are divided into.
 
@@ -80,175 +79,147 @@ def choose_num_pools(num_envs: int) -> int:
 
 @dataclass
 class PoolState:
-    """A pool, with the newest frames and what the policy remembers of its environments."""
+    """A pool, with its newest frames and the rollout that is recorded of it."""
 
     pool: Pool
     envs: slice  # the positions of its environments among all
-    frame: Any  # [S, n, *frame], the newest
+    frame: np.ndarray  # [S, n, *frame], the newest
     first: np.ndarray  # [S, n], whether the frame is the first of an episode
-    memory: ActorMemory  # leaves [S, ...], before this frame
+    memory: ActorMemory  # of the policies before this frame, between two rollouts
+    record: Record | None = None  # of the running rollout
 
 
 class Collector:
     """The collector of rollouts from the pools of all seeds.
 
-    The next rollout reuses the buffers: learning from a batch must end before the next batch is
-    collected.
+    A step sends frames to the devices that act, and gets the actions back; everything else that the
+    policies compute stays there until the rollout is whole. A rollout has buffers of its own:
+    the next may be collected while this one is learned from.
     """
 
-    def __init__(
-        self,
-        pools: list[Pool],
-        act: Callable[..., Any],
-        stack: int,
-        steps: int,
-        network: ActorCritic,
-        place: Callable[[np.ndarray], Any] = jax.device_put,
-    ):
+    def __init__(self, pools: list[Pool], agent: AgentSpec, config: Config, acting: SingleDevice):
         """Reset the pools.
 
         Args:
           pools: the environments of all seeds, in groups of the same size.
-          act: `sndjax.act` of the agent, mapped over seeds.
-          stack: the number of frames in a stack.
-          steps: T, the number of steps of a rollout.
-          network: the policy, for its value heads and its memory.
-          place: a function that copies frames [S, n, ...] to the devices that learn.
+          agent: what acts.
+          config: of the run, for its seeds and the length of its rollouts.
+          acting: the placement of the policies.
         """
-        pool = pools[0]
-        seeds, size = pool.rows
-        envs = size * len(pools)
-        self.policy_act, self.steps = act, steps
-        shape, here = (seeds, steps + 1, envs, *pool.shape), jax.default_backend() == "cpu"
-        self.frames: HostFrames | DeviceFrames = (
-            HostFrames(shape, pool.dtype)
-            if here and len(pools) == 1
-            else DeviceFrames(shape, place)
-        )
-        self.pool_states = [
-            PoolState(
+        seeds, size = pools[0].rows
+        self.steps = config.rollout_length
+        self.rows = (seeds, self.steps, size * len(pools))
+        self.acting = acting
+        self.recorder = acting.compile_recorder(make_recorder(agent, config, acting.axis))
+        self.pool_states = []
+        for k, pool in enumerate(pools):
+            frame = pool.reset()
+            state = PoolState(
                 pool=pool,
                 envs=slice(k * size, (k + 1) * size),
-                frame=pool.reset(),
+                frame=frame,
                 first=np.ones((seeds, size), bool),
-                memory=ActorMemory(
-                    np.zeros((seeds, stack, size, *pool.shape), pool.dtype),  # type: ignore
-                    init_hidden(network, seeds, size),
-                ),
+                memory=acting.put_memory(first_memory(agent, config, size, frame)),
             )
-            for k, pool in enumerate(pools)
-        ]
-        rows = (seeds, steps, envs)
-        self.columns: Any = {
-            "action": np.zeros(rows, np.int32),
-            "first": np.zeros(rows, bool),
-            "done": np.zeros(rows, bool),
-            "game_over": np.zeros(rows, bool),
-            "valid": np.zeros(rows, bool),
-            "reward": np.zeros(rows, np.float32),
-            "truncated": np.zeros(rows, bool),
-            "log_prob": np.zeros(rows, np.float32),
-            "score": np.zeros(rows, np.float32),
-        }
-        self.value: Any = np.zeros((seeds, steps + 1, envs, network.value_heads), np.float32)
-        self.room: Any = np.zeros(rows, np.uint8) if pool.rooms else None
+            self.pool_states.append(state)
 
-    def act(self, k: int, actor: Actor, t: int) -> tuple[ActOutput, ActorMemory]:
-        """Compute the actions of one step in one pool, and store the values.
+    def act(self, k: int, actor: Actor, t: int) -> Any:
+        """Start to compute the actions of one step in one pool, and return them.
 
         Args:
           k: the index of the pool.
           actor: the policies, leaves [S, ...].
           t: the step.
-
-        Returns:
-          The output of the policies, and their memory with the newest frame.
         """
         state = self.pool_states[k]
-        state.frame = self.frames.put(t, state.envs, state.frame)
-        step = np.int32(t * len(self.pool_states) + k)
-        output, memory = self.policy_act(actor, state.memory, state.frame, state.first, step)
-        self.value[:, t, state.envs] = output.value
-        return output, memory
+        draw = np.int32(t * len(self.pool_states) + k)
+        executed, state.record = self.recorder.act(
+            actor, state.record, state.frame, state.first, np.int32(t), draw
+        )
+        return executed
 
-    def send_actions(
-        self, state: PoolState, t: int, output: ActOutput, memory: ActorMemory
-    ) -> None:
-        """Start step t of a pool's environments, and store the output of the policies.
-
-        Args:
-          state: the state of the pool.
-          t: the step.
-          output: the output of the policies.
-          memory: of the policies after it.
-        """
-        state.pool.send(np.asarray(output.executed))
-        state.memory = memory
-        columns = self.columns
-        columns["action"][:, t, state.envs] = output.action
-        columns["log_prob"][:, t, state.envs] = output.log_prob
-        columns["first"][:, t, state.envs] = state.first
+    def send_actions(self, state: PoolState, executed: Any) -> None:
+        """Wait for the actions of a pool, and start its step."""
+        state.pool.send(self.acting.local_rows(executed))
 
     def receive_steps(self, state: PoolState, t: int) -> None:
         """Wait for step t of a pool's environments, and store its results."""
         step: EnvStep = state.pool.receive()
-        for name in ("done", "game_over", "valid", "reward", "truncated", "score"):
-            self.columns[name][:, t, state.envs] = getattr(step, name)
-        if self.room is not None:
-            self.room[:, t, state.envs] = step.room
+        for name, column in self.columns.items():
+            column[:, t, state.envs] = state.first if name == "first" else getattr(step, name)
         state.frame, state.first = step.frame, ~step.valid
 
+    def open_rollout(self) -> list[Opening]:
+        """Start a rollout of every pool, with new buffers."""
+        self.columns = {name: np.zeros(self.rows, dtype) for name, dtype in COLUMNS.items()}
+        if self.pool_states[0].pool.rooms:
+            self.columns["room"] = np.zeros(self.rows, np.uint8)
+        openings = []
+        for state in self.pool_states:
+            state.record, opening = self.recorder.open(state.memory, state.frame, state.first)
+            openings.append(opening)
+        return openings
+
     def collect(
-        self, actor: Actor, report: Callable[[int], None] = lambda step: None
+        self,
+        actor: Actor,
+        report: Callable[[int], None] = lambda step: None,
+        beside: Callable[[float], None] = lambda share: None,
     ) -> tuple[Experience, RolloutInfo]:
         """Collect one rollout of every seed.
 
         Args:
           actor: the policies, leaves [S, ...].
           report: called with the number of steps taken so far.
+          beside: called whenever environments have begun to step, with the share of the rollout
+            that is done: what it starts on the device runs while they do.
 
         Returns:
           The batch for `train_step`, leaves [S, ...], and the data for the log.
         """
-        histories: list[Any] = []
-        hidden: list[Any] = [state.memory.hidden for state in self.pool_states]
+        openings, pools = self.open_rollout(), len(self.pool_states)
         for t in range(self.steps):
             for k, state in enumerate(self.pool_states):
                 if t > 0:
                     self.receive_steps(state, t - 1)
-                output, memory = self.act(k, actor, t)
-                self.send_actions(state, t, output, memory)
-                if t == 0:
-                    histories.append(memory.window[:, :-1])
+                self.send_actions(state, self.act(k, actor, t))
+                beside((t * pools + k + 1) / (self.steps * pools))
             if t > 0:
                 report(t)
         for k, state in enumerate(self.pool_states):
             self.receive_steps(state, self.steps - 1)
             self.act(k, actor, self.steps)  # only for the value of the last frame
         report(self.steps)
-        c = self.columns
-        rollout = Rollout(
-            frames=self.frames.stacked(),
-            action=c["action"],
-            first=c["first"],
-            done=c["done"],
-            valid=c["valid"],
-        )
-        batch = Experience(
-            rollout=rollout,
-            history=histories[0] if len(histories) == 1 else jnp.concatenate(histories, axis=2),
-            reward=c["reward"],
-            truncated=c["truncated"],
-            log_prob=c["log_prob"],
-            value=self.value,
-            hidden=hidden[0] if len(hidden) == 1 else self.join_hidden(hidden),
-        )
-        columns = {name: c[name] for name in ("valid", "game_over", "reward", "score")}
-        return batch, RolloutInfo(**columns, room=self.room)
+        return self.close_rollout(openings)
 
-    def join_hidden(self, hidden: list[Any]) -> Any:
-        """Join the recurrent states of all pools, [S, n, d] each; None without a memory."""
-        return None if hidden[0] is None else jnp.concatenate(hidden, axis=1)
+    def take_records(self) -> list[Record]:
+        """Return the record of every pool, of which only the memory stays here."""
+        records = []
+        for state in self.pool_states:
+            assert state.record is not None
+            records.append(state.record)
+            state.memory, state.record = state.record.memory, None
+        return records
+
+    def close_rollout(self, openings: list[Opening]) -> tuple[Experience, RolloutInfo]:
+        """Return the whole rollout, and the data for the log.
+
+        Args:
+          openings: what it began with.
+        """
+        recorded, columns = self.recorder.join(self.take_records(), openings), self.columns
+        rollout: dict[str, Any] = {name: columns[name] for name in ("first", "done", "valid")}
+        own: dict[str, Any] = {name: columns[name] for name in ("reward", "truncated")}
+        batch = Experience(
+            rollout=Rollout(frames=recorded.frames, action=recorded.action, **rollout),
+            history=recorded.history,
+            log_prob=recorded.log_prob,
+            value=recorded.value,
+            hidden=recorded.hidden,
+            **own,
+        )
+        shown = {name: columns[name] for name in ("valid", "game_over", "reward", "score")}
+        return batch, RolloutInfo(**shown, room=columns.get("room"))
 
     def close(self) -> None:
         """Stop the environments."""

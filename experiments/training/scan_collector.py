@@ -18,8 +18,9 @@ from sndjax.collecting import collect_steps, make_row
 from ..config.schema import Config
 from ..environments.pool import Pool, training_reward
 from ..environments.pools import EnvpoolPool
-from .agents import map_over_seeds
-from .rollouts import RolloutInfo, init_hidden
+from .recorder import init_hidden
+from .rollouts import RolloutInfo
+from .seeds import map_over_seeds
 
 ENVIRONMENT_STREAM = 2  # folded into a seed's key; acting folds 1, learning 0
 # (actor, environments) of one seed -> (batch, environments, the task's own reward)
@@ -155,9 +156,18 @@ class ScanCollector:
         self.program = jax.jit(map_over_seeds(collect, pool.rows[0]), donate_argnums=1)
 
     def collect(
-        self, actor: sndjax.Actor, report: Callable[[int], None] = lambda step: None
+        self,
+        actor: sndjax.Actor,
+        report: Callable[[int], None] = lambda step: None,
+        beside: Callable[[float], None] = lambda share: None,
     ) -> tuple[sndjax.Experience, RolloutInfo]:
-        """Collect one rollout of every seed. See `Collector.collect`."""
+        """Collect one rollout of every seed, in one program: `beside` is never called.
+
+        Args:
+          actor: the policies, leaves [S, ...].
+          report: called with the number of steps at the end.
+          beside: see `Collector.collect`.
+        """
         batch, self.live, score = self.program(actor, self.live)
         columns = (batch.rollout.valid, batch.rollout.done, batch.reward, score)
         valid, done, reward, score = map(np.asarray, columns)

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.config.schema import option
+from experiments.config.option import option
 from experiments.config.tool_options import parse_arguments, tool_help
 from experiments.system.errors import ConfigError
 

@@ -11,8 +11,9 @@ import sndjax
 from experiments.config.compose import load_config
 from experiments.environments.pools import make_pool, make_pools
 from experiments.system.errors import ConfigError
-from experiments.training.agents import build_agent, init_states, map_over_seeds
+from experiments.training.agents import build_agent, init_states
 from experiments.training.rollouts import Collector
+from experiments.training.seeds import map_over_seeds
 from sndjax.rollout import make_frame_stacker
 
 
