@@ -45,7 +45,7 @@ def load_dump(dump: Path, config: Config) -> tuple[Experiment, TrainState, Exper
     """
     experiment = build_experiment(config, probe=True)
     like = {
-        "state": unwrapped_shapes(experiment.state_shapes()),
+        "state": unwrapped_shapes(experiment.run_shapes().train),
         "batch": experience_spec(config, experiment.pool, experiment.agent.network),
     }
     try:

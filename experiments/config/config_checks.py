@@ -43,6 +43,8 @@ def validate_config(config: Any, own: Mapping[str, Field[Any]] | None = None) ->
     check_without_effect(config)
     if config.algo.pairing != "asymmetric" and not has_predictor(config.algo.signal):
         raise ConfigError(f"algo.pairing: algo={config.algo.name} has no predictor network")
+    if config.overlap and config.distributed:
+        raise ConfigError("overlap=1 is for a run in one process, not for distributed=true")
     if config.seed + config.num_seeds > 2**31:
         raise ConfigError(f"seed={config.seed}: the last seed must be below 2**31")
     return config

@@ -98,7 +98,7 @@ def load_players(run: Path, trust: tuple[str, ...] = ()) -> list[Player]:
     config = validate_config(config)
     config = replace(config, env=whole_games(config.env))
     experiment = build_experiment(config, probe=True)
-    iteration, states = find_state(run, experiment.state_shapes())
+    iteration, states = find_state(run, experiment.run_shapes().train)
     own = lambda i: jax.tree.map(lambda x: jnp.asarray(x[i]), states)
     return [
         Player(config, experiment.agent, own(i), seed, iteration)

@@ -20,6 +20,7 @@ from ..system.process import available_memory
 from .agents import build_agent, init_states, make_seeds_train_step
 from .cpu_cores import place_on_cores
 from .placement import SINGLE_DEVICE, SingleDevice
+from .policy_lag import first_actor
 from .rollouts import Collector, choose_num_pools
 from .scan_collector import (
     ScanCollector,
@@ -38,10 +39,12 @@ class RunState(NamedTuple):
     Attributes:
       train: what learning changes.
       environments: `sndjax.LiveEnvironments`; () where they step outside jax.
+      next_actor: `NextActor`, what collects the next rollout; () where the newest policy does.
     """
 
     train: sndjax.TrainState
     environments: Any
+    next_actor: Any
 
 
 class Experiment(NamedTuple):
@@ -70,6 +73,17 @@ class Experiment(NamedTuple):
         """Return the state of every seed before its first iteration, leaves [S, ...]."""
         return init_states(self.agent, self.config.seeds, self.example)
 
+    def init_run(self) -> RunState:
+        """Return everything that the run changes, before its first iteration."""
+        train = self.init_states()
+        first = jax.jit(map_over_seeds(first_actor, self.config.num_seeds))
+        start = RunState(
+            train=train,
+            environments=self.init_environments(train),
+            next_actor=first(train) if self.config.overlap else (),
+        )
+        return RunState(*map(self.placement.put_states, start))
+
     def init_environments(self, states: sndjax.TrainState) -> Any:
         """Return the environments of every seed at their start; () if they step outside jax.
 
@@ -88,13 +102,15 @@ class Experiment(NamedTuple):
         )
         return jax.jit(map_over_seeds(start, config.num_seeds))(states.key)
 
-    def environment_shapes(self) -> Any:
-        """Return the shapes and dtypes of `init_environments`; nothing is computed."""
-        return jax.eval_shape(self.init_environments, self.state_shapes())
-
-    def state_shapes(self) -> sndjax.TrainState:
-        """Return the shapes and dtypes of the states; nothing is computed."""
-        return jax.eval_shape(self.init_states)
+    def run_shapes(self) -> RunState:
+        """Return the shapes and dtypes of `init_run`; nothing is computed."""
+        train = jax.eval_shape(self.init_states)
+        first = map_over_seeds(first_actor, self.config.num_seeds)
+        return RunState(
+            train=train,
+            environments=jax.eval_shape(self.init_environments, train),
+            next_actor=jax.eval_shape(first, train) if self.config.overlap else (),
+        )
 
     def make_collector(self) -> Collector | ScanCollector:
         """Reset the environments, and return the collector of their rollouts."""

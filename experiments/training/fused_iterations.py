@@ -14,6 +14,7 @@ import sndjax
 from .agents import make_seed_train_step
 from .experiment import Experiment, RunState
 from .iterations import GRACE_SECONDS, IterationResult, Watch
+from .policy_lag import actor_of, lagging_actor, policy_lag
 from .rollouts import RolloutInfo
 from .scan_collector import make_jax_collect
 from .seeds import map_over_seeds
@@ -38,27 +39,28 @@ def make_iteration(experiment: Experiment) -> Callable[..., Any]:
     """Return an iteration of one seed, not jitted.
 
     Returns:
-      (train, environments) -> (train, environments, row, batch).
+      (train, environments, next actor) -> (train, environments, next actor, row, batch).
     """
     config, agent, env = experiment.config, experiment.agent, experiment.pool.environment
     assert env is not None
     collect = make_jax_collect(env, agent, config)
     train_step = make_seed_train_step(agent, config, experiment.placement)
 
-    def iterate(train: sndjax.TrainState, live: sndjax.LiveEnvironments) -> Any:
-        actor = sndjax.Actor(train.policy, train.observations, train.key)
-        batch, live, score = collect(actor, live)
+    def iterate(train: sndjax.TrainState, live: sndjax.LiveEnvironments, acting: Any) -> Any:
+        batch, live, score = collect(acting.actor if config.overlap else actor_of(train), live)
         rollout = batch.rollout
+        lag = {"policy_lag": policy_lag(train, acting)} if config.overlap else {}
+        after = lagging_actor(train) if config.overlap else ()
         train, metrics, int_reward = train_step(train, batch)
         row = Row(
-            metrics=metrics,
+            metrics=metrics | lag,
             valid=rollout.valid,
             done=rollout.done,
             reward=batch.reward,
             score=score,
             int_reward=int_reward,
         )
-        return train, live, row, batch
+        return train, live, after, row, batch
 
     return iterate
 
@@ -79,7 +81,7 @@ def make_iterations(experiment: Experiment, most: int) -> Callable[..., Any]:
     iterate = map_over_seeds(make_iteration(experiment), seeds, axis=experiment.placement.axis)
 
     def run(state: RunState, count: jax.Array) -> tuple[RunState, Row, sndjax.Experience]:
-        _, _, *shapes = jax.eval_shape(iterate, *state)
+        shapes = jax.eval_shape(iterate, *state)[3:]
         row, batch = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
         rows = jax.tree.map(lambda x: jnp.zeros((most, *x.shape), x.dtype), row)
 

@@ -11,14 +11,19 @@ import numpy as np
 import sndjax
 
 from ..system.display import Progress, format_duration
-from ..system.interrupts import Interrupts
+from ..system.errors import TaskError
+from ..system.interrupts import Interrupted, Interrupts
 from ..system.jax_settings import jit_is_disabled
 from ..system.process import return_freed_memory
 from .experiment import Experiment, RunState
 from .flops import estimate_seconds
+from .learners import Learner, SlicedLearner, make_learner
+from .policy_lag import actor_of, lagging_actor, policy_lag
 from .rollouts import Collector, RolloutInfo
 from .scan_collector import ScanCollector
+from .seeds import map_over_seeds
 
+Collected = tuple[sndjax.Experience, RolloutInfo]
 GRACE_SECONDS = 4  # for an update to end after SIGTERM; short, to leave time for a checkpoint
 
 
@@ -113,65 +118,119 @@ class Watch(NamedTuple):
 
 
 class HostIterations:
-    """Iterations whose environments step outside jax."""
+    """Iterations whose environments step outside jax.
 
-    def __init__(self, experiment: Experiment, collector: Collector | ScanCollector, watch: Watch):
+    Where it can, an iteration collects the next rollout while it learns from its own: with
+    overlap=1 with the policy before it, else with the policy after it, while the module learns.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        collector: Collector | ScanCollector,
+        watch: Watch,
+        done: int,
+        learner: Learner | None = None,
+    ):
         """Take the parts; nothing is compiled yet.
 
         Args:
           experiment: of the run.
           collector: of its rollouts.
           watch: its display and its signals.
+          done: the number of iterations that were run before.
+          learner: how it learns; None: as `make_learner` chooses.
         """
-        self.experiment, self.watch = experiment, watch
-        self.placement = experiment.placement
-        self.collector = collector
-        self.train_step = self.placement.compile_train_step(experiment.make_train_step())
-        self.update: Any = None  # the compiled train_step
+        self.experiment, self.watch, self.done = experiment, watch, done
+        self.placement, self.collector = experiment.placement, collector
+        self.learner = make_learner(experiment) if learner is None else learner
+        config = experiment.config
+        self.ahead = bool(config.overlap) or isinstance(self.learner, SlicedLearner)
+        self.lagging = jax.jit(map_over_seeds(lagging_actor, config.num_seeds))
+        self.lag = jax.jit(policy_lag)
+        self.collected: Collected | None = None  # the rollout of the next iteration
+        self.failed: Interrupted | TaskError | None = None  # while it was collected
         self.update_seconds: float | None = None  # the expected time of an update
         watch.progress.phase("compiling the policy")
 
     def run(
         self, state: RunState, most: int
     ) -> tuple[RunState, list[IterationResult], sndjax.Experience]:
+        if self.failed is not None:
+            raise self.failed
         begun = time.monotonic()
-        batch, info = self.collect(state.train)
-        collected = time.monotonic()
-        if self.update is None:
-            self.update, self.update_seconds = self.watch.compile(
-                "update", self.train_step, state.train, batch
-            )
-        self.watch.progress.phase("learning", self.update_seconds)
+        batch, info = self.collected or self.collect(self.current_actor(state))
+        parts: dict[str, float | None] = {"collect_seconds": time.monotonic() - begun}
+        self.collected = None
+        if self.update_seconds is None:
+            compiler = self.watch.compile
+            self.update_seconds = self.learner.compile(compiler, state.train, batch)
+        lag: dict[str, Any] = {}
+        next_actor: Any = ()
+        if self.experiment.config.overlap:
+            lag = {"policy_lag": self.lag(state.train, state.next_actor)}
+            next_actor = self.lagging(state.train)  # before its memory is reused
         learning = time.monotonic()
+        self.learner.begin(state.train, batch)
+        self.done += 1
+        if self.ahead and self.done < self.experiment.config.iterations:
+            parts["collect_seconds"] = self.collect_ahead(next_actor)
+        waiting = time.monotonic()
+        self.watch.progress.phase("learning", None if self.ahead else self.update_seconds)
         with self.watch.breakable(GRACE_SECONDS):
-            train, found, reward = jax.block_until_ready(self.update(state.train, batch))
-        self.update_seconds = time.monotonic() - learning
+            train, found, reward = jax.block_until_ready(self.learner.finish())
+        now = time.monotonic()
+        if self.ahead:
+            parts["wait_seconds"] = now - waiting
+        else:
+            parts["update_seconds"] = self.update_seconds = now - learning
         result = IterationResult(
             info=info,
-            metrics={name: np.asarray(value).tolist() for name, value in found.items()},
+            metrics={name: np.asarray(value).tolist() for name, value in (found | lag).items()},
             int_reward=np.asarray(reward),
-            seconds=time.monotonic() - begun,
-            parts={
-                "collect_seconds": collected - begun,
-                "update_seconds": self.update_seconds,
-            },
+            seconds=now - begun,
+            parts=parts,
         )
-        return state._replace(train=train), [result], batch
+        return RunState(train, state.environments, next_actor), [result], batch
 
-    def collect(self, train: sndjax.TrainState) -> tuple[sndjax.Experience, RolloutInfo]:
+    def current_actor(self, state: RunState) -> sndjax.Actor:
+        """Return the policy that collects the rollout of this iteration."""
+        return state.next_actor.actor if self.experiment.config.overlap else actor_of(state.train)
+
+    def collect_ahead(self, next_actor: Any) -> float:
+        """Collect the rollout of the next iteration, and return the seconds that it took.
+
+        What fails here is raised in the next iteration: this one is not lost.
+
+        Args:
+          next_actor: with overlap=1, the policy that collects it.
+        """
+        actor = next_actor.actor if next_actor else self.learner.learn_policy()
+        begun = time.monotonic()
+        try:
+            self.collected = self.collect(actor, self.learner.advance)
+        except (Interrupted, TaskError) as error:
+            self.failed = error
+        return time.monotonic() - begun
+
+    def collect(
+        self, actor: sndjax.Actor, beside: Callable[[float], None] | None = None
+    ) -> Collected:
         """Collect the next rollout.
 
         Args:
-          train: the state of every seed.
+          actor: the policy of every seed.
+          beside: see `Collector.collect`; None: nothing runs while it is collected.
 
         Returns:
           The batch for `train_step`, and the data for the log, of all hosts.
 
         Raises:
           Interrupted: a signal was received.
+          TaskError: the environment failed.
         """
         progress, interrupts, hosts = self.watch
-        progress.phase("collecting")
+        progress.phase("collecting" if beside is None else "collecting and learning")
         steps = self.experiment.config.rollout_length
 
         def stepped(step: int) -> None:
@@ -180,8 +239,9 @@ class HostIterations:
                 interrupts.check()
             progress.within(step / steps)
 
-        actor = sndjax.Actor(train.policy, train.observations, train.key)
-        batch, info = self.collector.collect(self.placement.put_actor(actor), stepped)
+        batch, info = self.collector.collect(
+            self.placement.put_actor(actor), stepped, beside or (lambda share: None)
+        )
         return self.placement.put_batch(batch), self.placement.gather_hosts(info)
 
     def repeat(

@@ -22,10 +22,13 @@ def trees_beside(
       experiment: of the run.
       episodes: the running sums of the current episodes.
     """
-    if experiment.pool.environment is None:
-        return {}
-    environments = experiment.placement.to_host(state.environments)
-    return {"environments": environments, "episodes": episodes.arrays()}
+    found: dict[str, Any] = {}
+    if experiment.pool.environment is not None:
+        environments = experiment.placement.to_host(state.environments)
+        found = {"environments": environments, "episodes": episodes.arrays()}
+    if experiment.config.overlap:
+        found["next_actor"] = experiment.placement.to_host(state.next_actor)
+    return found
 
 
 def resume_run_state(
@@ -63,11 +66,15 @@ def load_run_state(
       CheckpointError: the checkpoint cannot be used.
     """
     assert checkpoints.newest is not None
-    train = checkpoints.load(checkpoints.newest, experiment.state_shapes())
-    environments = ()
+    like = experiment.run_shapes()
+    train = checkpoints.load(checkpoints.newest, like.train)
+    wanted: dict[str, Any] = {}
     if experiment.pool.environment is not None:
-        like = {"environments": experiment.environment_shapes(), "episodes": episodes.arrays()}
-        beside = checkpoints.load_beside(checkpoints.newest, like)
+        wanted = {"environments": like.environments, "episodes": episodes.arrays()}
+    if experiment.config.overlap:
+        wanted["next_actor"] = like.next_actor
+    beside = checkpoints.load_beside(checkpoints.newest, wanted) if wanted else {}
+    if "episodes" in beside:
         episodes.restore(beside["episodes"])
-        environments = beside["environments"]
-    return RunState(*map(experiment.placement.put_states, (train, environments)))
+    own = (train, beside.get("environments", ()), beside.get("next_actor", ()))
+    return RunState(*map(experiment.placement.put_states, own))

@@ -19,12 +19,12 @@ from ..system.jax_settings import apply_debug_settings
 from ..system.process import enable_compilation_cache
 from ..system.versions import versions
 from .cpu_cores import use_cores
+from .device_mesh import choose_placement
 from .diagnostics import HealthMonitor, announcements
 from .experiment import RunState, build_experiment
 from .fused_iterations import FusedIterations
 from .iterations import HostIterations, IterationResult, Iterations, Watch
 from .nonfinite import keep_failed_update, nonfinite_terms
-from .placement import choose_placement
 from .run_logger import RunLogger
 from .run_states import load_run_state, resume_run_state, trees_beside
 
@@ -97,7 +97,7 @@ class Trainer:
         self.iterations: Iterations = (
             FusedIterations(self.experiment, watch)
             if self.collector is None
-            else HostIterations(self.experiment, self.collector, watch)
+            else HostIterations(self.experiment, self.collector, watch, logger.done)
         )
         finished = False
         try:
@@ -125,9 +125,7 @@ class Trainer:
         if logger.done == config.iterations:
             return
         if self.state is None:
-            train = self.experiment.init_states()
-            start = RunState(train, self.experiment.init_environments(train))
-            self.state = RunState(*map(self.placement.put_states, start))
+            self.state = self.experiment.init_run()
             self.save(self.state)  # so that there is always a checkpoint to resume from
         actions = self.experiment.pool.num_actions
         self.monitors = {seed: HealthMonitor(actions) for seed in self.seeds}
