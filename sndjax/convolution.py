@@ -18,6 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float, Shaped
 
 from sndjax.activations import ACTIVATIONS, SLOPES, Activation
+from sndjax.products import matmul
 
 CPU_SLICE = 8  # images that are in a CPU's cache at once
 DEVICE_SLICE = 1024  # images at once elsewhere: any minibatch of the thesis
@@ -108,7 +109,7 @@ def apply_layers(
     maps, gathered = [], []
     for (kernel, bias), layer in zip(weights, layers, strict=True):
         gathered.append(patches(images, layer))
-        y = gathered[-1] @ kernel.reshape(-1, layer.channels)
+        y = matmul(gathered[-1], kernel.reshape(-1, layer.channels))
         images = ACTIVATIONS[activation](y + bias[None, None, None, :])
         maps.append(images)
     return maps, gathered
@@ -205,9 +206,9 @@ def conv_in_slices_backward(
             flat = gradient.reshape(-1, layers[i].channels)
             seen = gathered[i] if i < again else patches(maps[i], layers[i])
             columns = seen.reshape(-1, kernel.shape[0]).T
-            found.append((columns @ flat, jnp.sum(flat, axis=0)))
+            found.append((matmul(columns, flat), jnp.sum(flat, axis=0)))
             if i or not pixels:
-                back = (flat @ kernel.T).reshape(seen.shape)
+                back = matmul(flat, kernel.T).reshape(seen.shape)
                 scatter = jax.linear_transpose(partial(patches, layer=layers[i]), maps[i])
                 (gradient,) = scatter(back)
         return jax.tree.map(jnp.add, total, found[::-1]), None if pixels else gradient

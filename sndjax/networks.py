@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 from sndjax.activations import ACTIVATIONS, Activation
 from sndjax.checks import check_images
 from sndjax.convolution import Convolution, convolve, to_float
+from sndjax.products import dot_general
 from sndjax.types import Params
 
 ROOT_2 = math.sqrt(2.0)
@@ -61,7 +62,7 @@ def linear(features: int, gain: float, name: str | None = None) -> nn.Dense:
       gain: of the orthogonal weights.
       name: of its weights, where something reads them by name.
     """
-    return nn.Dense(features, kernel_init=orthogonal(gain), name=name)
+    return nn.Dense(features, kernel_init=orthogonal(gain), dot_general=dot_general, name=name)
 
 
 def normalize(x: Float[Array, "B n"], layer_norm: bool) -> Float[Array, "B n"]:

@@ -30,9 +30,14 @@ class PassState(NamedTuple):
     metrics: dict[str, Array]  # [M]; 0 for steps that were not taken yet
 
 
-def count_steps(inputs: Any) -> int:
-    """Return M, the number of steps of a pass with these inputs."""
-    return int(jax.tree.leaves(inputs)[0].shape[0])
+def count_steps(inputs: Any, axis: int = 0) -> int:
+    """Return M, the number of steps of a pass with these inputs.
+
+    Args:
+      inputs: of its steps.
+      axis: the axis of the steps; 1 for inputs of several seeds.
+    """
+    return int(jax.tree.leaves(inputs)[0].shape[axis])
 
 
 def run_pass(whole: Pass) -> PassState:

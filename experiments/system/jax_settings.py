@@ -90,6 +90,28 @@ def apply_debug_settings() -> list[str]:
     return lines
 
 
+# An option's value -> jax's name of the precision of products: on a CPU, elsewhere. A CPU computes
+# in float32 whatever the name; `sndjax.products` rounds the operands there.
+PRECISIONS = {
+    "float32": ("float32", "float32"),
+    "tf32": ("tensorfloat32", "TF32_TF32_F32"),
+    "bf16": ("bfloat16", "BF16_BF16_F32"),
+}
+
+
+def set_precision(name: str | None) -> None:
+    """Set the precision of matrix products in everything that is traced from here on.
+
+    Args:
+      name: a key of `PRECISIONS`; None: the device's own.
+    """
+    import jax
+
+    on_cpu, elsewhere = PRECISIONS[name] if name else (None, None)
+    value = on_cpu if jax.default_backend() == "cpu" else elsewhere
+    jax.config.update("jax_default_matmul_precision", value)
+
+
 def jit_is_disabled() -> bool:
     """Return True if JAX_DISABLE_JIT is set."""
     import jax

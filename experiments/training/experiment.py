@@ -16,6 +16,7 @@ from ..config.schema import Config
 from ..environments.pool import Pool
 from ..environments.pools import EnvpoolPool, make_pools
 from ..system.errors import ConfigError
+from ..system.jax_settings import set_precision
 from ..system.process import available_memory
 from .agents import build_agent, init_states, make_seeds_train_step
 from .cpu_cores import place_on_cores
@@ -153,7 +154,7 @@ def build_experiment(
     start_iteration: int = 0,
     probe: bool = False,
 ) -> Experiment:
-    """Return the environments and the agent of a configuration.
+    """Return the environments and the agent of a configuration; set the precision of products.
 
     Args:
       config: a valid configuration.
@@ -165,6 +166,7 @@ def build_experiment(
     Raises:
       ConfigError: the task cannot be made or trained on, or the algorithm does not support it.
     """
+    set_precision(config.precision)
     if probe:
         pools = make_pools(config.env, config.seeds[:1], 1)
         pools[0].close()

@@ -101,12 +101,12 @@ class SlicedLearner:
         learning, policy, module = jax.eval_shape(programs.begin, train, batch)
         begin, seconds = compiler("rewards", programs.begin, train, batch)
         taken, each = compiler("policy's pass", programs.policy, learning, policy, none, none)
-        self.policy_steps = count_steps(jax.tree.map(lambda x: x[0], learning.policy_inputs))
+        self.policy_steps = count_steps(learning.policy_inputs, axis=1)
         seconds += self.policy_steps * each
         self.module_steps, trained = 0, programs.module
         if learning.module_inputs is not None:
             trained, each = compiler("module's pass", trained, learning, module, none, none)
-            self.module_steps = count_steps(jax.tree.map(lambda x: x[0], learning.module_inputs))
+            self.module_steps = count_steps(learning.module_inputs, axis=1)
             seconds += self.module_steps * each
         finish, _ = compiler("end of an update", programs.finish, learning, policy, module)
         self.compiled = SlicedStep(begin, taken, trained, finish)

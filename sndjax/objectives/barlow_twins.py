@@ -4,6 +4,7 @@ import chex
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from sndjax.products import matmul
 from sndjax.protocols import Encode, Objective
 from sndjax.ranges import Weight
 from sndjax.statistics import mask_rows, masked_mean, masked_sum, valid_count
@@ -44,7 +45,7 @@ def barlow_twins_loss(
         centred = mask_rows(z - masked_mean(z, valid)[None], valid)
         return centred / jnp.sqrt(masked_sum(centred**2, valid) / count + 1e-5)[None]
 
-    correlation = normalise(z).T @ normalise(z_next) / count
+    correlation = matmul(normalise(z).T, normalise(z_next)) / count
     own = jnp.eye(z.shape[1], dtype=bool)
     invariance = jnp.sum((1 - jnp.diagonal(correlation)) ** 2)
     others = jnp.sum(jnp.where(own, jnp.zeros_like(correlation), correlation) ** 2)

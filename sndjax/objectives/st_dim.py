@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from sndjax.products import dot_general, matmul
 from sndjax.protocols import Encode, Objective
 from sndjax.ranges import Weight
 from sndjax.statistics import mask_rows, masked_mean, safe_sqrt, valid_count
@@ -49,7 +50,7 @@ def contrast(
     def position(
         local: Float[Array, "B C"], candidate: Float[Array, "B C"]
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        logits = local @ candidate.T
+        logits = matmul(local, candidate.T)
         allowed = jnp.where(valid[None, :], logits, -jnp.inf)
         # A row without a valid candidate is no row that counts; keep its softmax finite.
         allowed = jnp.where(valid[:, None], allowed, jnp.zeros_like(logits))
@@ -154,7 +155,13 @@ class Projection(nn.Module):
     def __call__(self, x: Float[Array, "... n"]) -> Float[Array, "... m"]:
         fan_in = x.shape[-1]
         uniform = lambda key, shape, dtype=jnp.float32: fan_in_uniform(key, shape, fan_in)
-        dense = nn.Dense(self.features, kernel_init=uniform, bias_init=uniform, name="Dense_0")
+        dense = nn.Dense(
+            self.features,
+            kernel_init=uniform,
+            bias_init=uniform,
+            dot_general=dot_general,
+            name="Dense_0",
+        )
         return dense(x)
 
 

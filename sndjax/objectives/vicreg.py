@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from sndjax.products import matmul
 from sndjax.protocols import Encode, Objective
 from sndjax.ranges import Weight
 from sndjax.statistics import mask_rows, masked_mean, masked_sum, valid_count
@@ -54,7 +55,7 @@ def vicreg_loss(
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         centred = mask_rows(z - masked_mean(z, valid)[None], valid)
         std = jnp.sqrt(masked_sum(centred**2, valid) / degrees + 1e-4)
-        matrix = centred.T @ centred / degrees
+        matrix = matmul(centred.T, centred) / degrees
         off_diagonal = jnp.where(jnp.eye(width, dtype=bool), 0.0, matrix)
         return jnp.mean(jax.nn.relu(1 - std)), jnp.sum(off_diagonal**2) / width
 

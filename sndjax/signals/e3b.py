@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 
 from sndjax.hashing import random_projection
+from sndjax.products import EXACT
 from sndjax.protocols import EncoderView, Signal
 from sndjax.ranges import Count, Positive
 from sndjax.signals.prediction import encode_rollout
@@ -52,10 +53,11 @@ def add_to_ellipsoid(
       The new root, and z^T C^-1 z in the old one.
     """
     z = mask_rows(z, counted)
-    phi = jnp.einsum("nji,nj->ni", root, z)
+    phi = jnp.einsum("nji,nj->ni", root, z, precision=EXACT)
     bonus = jnp.sum(phi**2, axis=-1)
     share = 1 / (1 + bonus)
-    across = jnp.einsum("nij,nj->ni", root, phi) * (share / (1 + jnp.sqrt(share)))[:, None]
+    back = jnp.einsum("nij,nj->ni", root, phi, precision=EXACT)
+    across = back * (share / (1 + jnp.sqrt(share)))[:, None]
     return root - across[:, :, None] * phi[:, None, :], bonus
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
+from sndjax.products import EXACT
 from sndjax.protocols import EncoderView, Signal
 from sndjax.ranges import Count
 from sndjax.signals.prediction import encode_rollout
@@ -71,7 +72,8 @@ def neighbour_distance(
         return lax.map(some, index.reshape(-1, EXACT_SLICE)).reshape(-1, k)
 
     def slice_squares(index: Int[Array, " S"]) -> tuple[Float[Array, "S k"], Bool[Array, ""]]:
-        product = squares[None, :] - 2 * centred[index] @ centred.T  # less the row's own square
+        both = jnp.matmul(centred[index], centred.T, precision=EXACT)
+        product = squares[None, :] - 2 * both  # less the row's own square
         candidate = valid[None, :] & (others[None, :] != index[:, None])
         score, nearest = lax.top_k(jnp.where(candidate, -product, -jnp.inf), k)
         found = jnp.sum((z[index][:, None] - z[nearest]) ** 2, axis=-1)

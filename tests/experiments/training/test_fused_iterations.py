@@ -32,8 +32,7 @@ STEPS = 64  # in an iteration
 def started(*arguments):
     """Return an experiment and its state at the start."""
     experiment = build_experiment(load_config([*OWN, *arguments]))
-    train = experiment.init_states()
-    return experiment, RunState(train, experiment.init_environments(train))
+    return experiment, experiment.init_run()
 
 
 @pytest.fixture(params=[False, True], ids=["plain", "optimized"])
@@ -57,7 +56,7 @@ def test_make_iterations_fused_equals_collect_and_train_step(seeds, rounding):
         else experiment.make_collector().program
     )
     train_step = jax.jit(experiment.make_train_step())
-    train, live = state
+    train, live, _ = state
     for i in range(3):
         actor = sndjax.Actor(train.policy, train.observations, train.key)
         wanted_batch, live, _ = collect(actor, live)
@@ -67,7 +66,7 @@ def test_make_iterations_fused_equals_collect_and_train_step(seeds, rounding):
         for name, value in metrics.items():
             np.testing.assert_allclose(rows.metrics[name][i], value, rtol=1e-4, atol=1e-6)
     equal(batch, wanted_batch, **rounding)
-    equal(fused, RunState(train, live), **rounding)
+    equal(fused, RunState(train, live, ()), **rounding)
 
 
 def test_make_iterations_two_calls_equal_one(rounding):
@@ -95,8 +94,9 @@ def files(path):
         ["algo=grid", "algo.objective=contrastive", "algo.signal=ngu", "env.stack=3"],
         # A recurrent state within episodes, statistics of external rewards.
         ["algo=rnd", "network.memory=gru", "combine=sum", "ppo.normalize_rewards=true"],
+        ["algo=snd_vic", "num_seeds=2", "overlap=1"],
     ],
-    ids=["two_seeds", "episodic", "recurrent"],
+    ids=["two_seeds", "episodic", "recurrent", "overlap"],
 )
 def test_run_resumed_from_a_checkpoint_has_the_bytes_of_one_that_was_not_stopped(algo, tmp_path):
     command = [*OWN, *algo, "checkpoint_every=5"]
