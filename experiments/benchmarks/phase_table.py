@@ -30,4 +30,10 @@ def phase_table(measured: dict[str, Any]) -> str:
             f"a whole iteration: {measured['whole_steps_per_second']:,.1f} steps/s; the phases' "
             f"sum is {measured['phases_over_whole']:.3f} of it"
         )
+    if "of_the_slower" in measured:
+        lines.append(
+            f"collecting alone {measured['collecting_alone_seconds']:.3f} s, learning alone "
+            f"{measured['learning_alone_seconds']:.3f} s, both at once "
+            f"{measured['whole_seconds']:.3f} s: {measured['of_the_slower']:.2f} of the slower"
+        )
     return "\n".join(lines)

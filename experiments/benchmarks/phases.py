@@ -22,13 +22,16 @@ from ..config.schema import Config
 from ..system.errors import ConfigError
 from ..system.process import enable_compilation_cache
 from ..system.versions import versions
+from ..training.cpu_cores import use_cores
 from ..training.experiment import build_experiment
 from ..training.scan_collector import ScanCollector
 from ..training.seeds import map_over_seeds
 from .analytic_flops import flops_per_step
 from .phase_table import phase_table
 from .timing import BenchmarkTimer, device_name, print_line
+from .whole_iterations import measure_whole
 
+WHOLE = 2  # iterations that are timed as a run takes them, after two that are not
 MINIBATCHES = 3  # that a phase is timed on; the start of a call costs a tenth of one
 
 
@@ -175,8 +178,8 @@ class PhaseBenchmark:
 
         return self.timer.seconds(work)
 
-    def compile_update(self) -> tuple[Any, float, float]:
-        """Compile the update; return it, and the seconds without and with the compilation cache."""
+    def compile_seconds(self) -> tuple[float, float]:
+        """Compile the update; return the seconds without and with the compilation cache."""
         step = jax.jit(self.experiment.make_train_step(), donate_argnums=0)
         gone = []
         for cached in (False, True, True):  # the first with the cache may fill it
@@ -184,19 +187,9 @@ class PhaseBenchmark:
             compilation_cache.reset_cache()  # jax checks only once whether there is a cache
             jax.clear_caches()  # compiled programs are also kept in memory
             begun = time.perf_counter()
-            compiled = step.lower(self.states, self.batch).compile()
+            step.lower(self.states, self.batch).compile()
             gone.append(time.perf_counter() - begun)
-        return compiled, gone[0], gone[2]
-
-    def whole_seconds(self, update: Any) -> tuple[float, float]:
-        """Time collecting and learning of one real iteration, after one that is not timed."""
-        for _ in range(2):
-            begun = time.perf_counter()
-            batch, _ = self.collector.collect(self.actor())
-            collected = time.perf_counter()
-            self.states, _, _ = jax.block_until_ready(update(self.states, batch))
-            learned = time.perf_counter()
-        return collected - begun, learned - collected
+        return gone[0], gone[2]
 
 
 def config_gflop_per_step(
@@ -227,11 +220,13 @@ def config_gflop_per_step(
 
 def measure(config: Config, whole: bool) -> dict[str, Any]:
     """Measure a configuration, and return all figures."""
+    if config.overlap:
+        use_cores(config)
     print_line(f"{config.env.name} {config.algo.name}: matrix product, environments, a rollout")
     bench = PhaseBenchmark(config)
     phases = bench.phase_seconds()
     print_line("compiling the whole update, without the cache and with")
-    update, compile_seconds, cached_seconds = bench.compile_update()
+    compile_seconds, cached_seconds = bench.compile_seconds()
     steps = config.rows * config.num_seeds
     gone = sum(phases.values())
     measured: dict[str, Any] = {
@@ -248,11 +243,8 @@ def measure(config: Config, whole: bool) -> dict[str, Any]:
         "compile_seconds_cached": cached_seconds,
     }
     if whole:
-        print_line(f"timing two whole iterations, about {gone:.0f} s each")
-        collecting, learning = bench.whole_seconds(update)
-        measured["whole_steps_per_second"] = steps / (collecting + learning)
-        measured["whole_collecting_share"] = collecting / (collecting + learning)
-        measured["phases_over_whole"] = gone / (collecting + learning)
+        print_line(f"timing whole iterations, about {gone:.0f} s each")
+        measured |= measure_whole(config, gone, WHOLE)
     rate, work = (
         bench.timer.gflops(),
         config_gflop_per_step(config, bench.agent, bench.experiment.pool.shape),

@@ -3,7 +3,6 @@
 The oracle is a plain loop: collect, learn, and keep the policies of earlier iterations.
 """
 
-import json
 import signal
 import subprocess
 
@@ -165,12 +164,13 @@ def test_run_overlap_stopped_by_a_signal_keeps_the_rollout_it_learns_from(tmp_pa
     with start([*slow, f"run_dir={path}"], tmp_path, subprocess.DEVNULL) as process:
         while not (path / "metrics.jsonl").exists() or len(lines(path)) < 4:
             assert process.poll() is None, process.communicate()
+        seen = len(lines(path)) // 2
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 143, err
     done = len(lines(path)) // 2
+    assert done > seen  # the rollout it learned from when the signal came is not lost
     assert sorted(int(p.name) for p in (path / "checkpoints").iterdir())[-1] == done
-    assert json.loads((path / "summary.json").read_text())["step"] == done * STEPS
     arguments = [f"resume={path}", f"total_steps={(done + 2) * STEPS}"]
     with start(arguments, tmp_path, subprocess.DEVNULL) as process:
         _, err = process.communicate(timeout=120)
