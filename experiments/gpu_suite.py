@@ -1,9 +1,12 @@
-"""Train the thesis' hard games on a GPU for a given time: sndjax gpu_suite --minutes 240
+"""Learn on a GPU what can be learned in a given time: sndjax gpu_suite minutes=10
 
-Trains SND-VIC, SND-STD, RND and PPO on Montezuma's Revenge and Venture at the thesis' settings,
---at-once of them side by side, each for its share of the minutes; at the end each run writes a
-checkpoint and stops. The same command resumes every run. Writes a directory for each run, and one
-page about all of them.
+In order of worth: how far losses, rewards, convolutions and an iteration are from float32 on a CPU;
+the rates of whole iterations of snd_std on Venture (collecting and learning in turn, the module
+beside the next rollout, overlap=1, 512 environments, four seeds, other precisions) and of
+environments in JAX; then Procgen's exploration levels for the rest of the time, each run for its
+share. Every measurement is a process of its own and is bounded; each result is on the disk as soon
+as there is one, in OUT/<step>.jsonl, and OUT/suite.md shows all of them. The same command measures
+again, and resumes every run.
 """
 
 from dataclasses import dataclass
@@ -19,33 +22,44 @@ from .system.process import run_script
 class Options:
     """The options of the command."""
 
-    minutes: float = option(60.0, "for all runs together, compilation too", above=0)
-    out: str = option("runs/evidence", "where the runs are; called again it resumes them")
-    envs: str = option("MontezumaRevenge,Venture", "environments, with commas")
-    algos: str = option("snd_vic,snd_std,rnd,ppo", "algorithms, with commas")
+    minutes: float = option(10.0, "for everything together, compilation too", above=0)
+    out: str = option("docs/results/gpu", "where the figures and the page go")
+    runs: str = option("runs/gpu_suite", "where the runs are; called again it resumes them")
+    envs: str = option("Coinrun,Jumper,Climber,Caveflyer", "environments of the runs, with commas")
+    algos: str = option("ppo,rnd,snd_std,snd_vic,snd_vinv", "algorithms of the runs, with commas")
     at_once: int = option(
-        1, "runs side by side on the GPU; each then writes what it does to a file", low=1
+        5, "runs side by side on the GPU; each then writes what it does to a file", low=1
     )
-    cpu: bool = option(False, "also where jax sees no GPU")
+    steps: str = option(
+        "all", "measurements before the runs, with commas; all, or none for the runs alone"
+    )
+    measure: str = option("", "one measurement, in this process and no other; its rows are printed")
+    cpu: bool = option(False, "also where jax sees no GPU: of small tasks, to try the command")
 
 
-def train(paths: list[Path], options: Options) -> None:
-    """Train every run for its share of the time, and write the page.
+def suite(paths: list[Path], options: Options) -> None:
+    """Measure, train for the rest of the time, and write the page.
 
     Raises:
-      ConfigError: an environment or algorithm does not exist, there is no GPU, or runs failed.
+      ConfigError: a name does not exist, there is no GPU, or runs failed.
     """
-    from .benchmarks.gpu_suite import run_suite
-
     pairs = [(env, algo) for env in options.envs.split(",") for algo in options.algos.split(",")]
     for env, algo in pairs:
         load_config([f"env={env}", f"algo={algo}"])  # a wrong name is refused before any run
-    run_suite(pairs, Path(options.out), options.minutes, options.at_once, options.cpu)
+    from .benchmarks.gpu_suite import Suite, print_measurement
+
+    if options.measure:
+        print_measurement(options.measure)
+    else:
+        runs = Path(options.runs)
+        Suite(Path(options.out), runs, options.minutes, options.cpu).run(
+            options.steps, pairs, options.at_once
+        )
 
 
 def main(arguments: list[str]) -> int:
     """Run the command, and return its exit status."""
-    return run_command(__doc__, Options, train, arguments, paths="none")
+    return run_command(__doc__, Options, suite, arguments, paths="none")
 
 
 if __name__ == "__main__":

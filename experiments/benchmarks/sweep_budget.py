@@ -16,7 +16,8 @@ from ..sweeps import jobs
 from ..sweeps.multirun import compose_hydra
 from ..system.display import ProgressBars
 from .counted_flops import INPUTS, gflop_per_step, thesis_experiment
-from .suite import results_file
+from .gpu_page import read_rows
+from .suite import RESULTS, results_file
 
 REFERENCE = "snd_vic"  # whose benchmark is used for algorithms without one
 LOG_BYTES = 1100  # of a line of metrics.jsonl; TensorBoard's copy of its figures takes twice that
@@ -106,6 +107,10 @@ def read_rates(cores: int) -> Rates:
         for name, one in raw.items()
         if one["num_seeds"] == 1
     }
+    # Of `gpu_suite`, which times the same iterations as a run takes them now.
+    for row in read_rows(RESULTS / "gpu" / "module_beside.jsonl")[-1:]:
+        if not row["small"]:
+            gpu["snd_std"] = row["steps_per_second"]
     stepping = [one["seconds_per_1000_steps"]["environment"] for one in cpu.values()]
     return Rates(cpu, gpu, 1000 / median(stepping) / 2 * cores)
 

@@ -35,16 +35,28 @@ def env_seeds(seed: int, num_envs: int, start: int) -> list[int]:
 class EnvpoolPool(Pool):
     """A pool of envpool environments, which run in the threads of envpool."""
 
-    def __init__(self, config: EnvConfig, seeds: list[list[int]]):
+    def __init__(self, config: EnvConfig, seeds: list[list[int]], threads: int | None = None):
+        """Make the environments.
+
+        Args:
+          config: the task.
+          seeds: the seed of each environment of each agent.
+          threads: that step them, unless env.options.num_threads is given; None: envpool's choice,
+            one for each core.
+
+        Raises:
+          ConfigError: envpool cannot make the task.
+        """
         family_of(config.id)
-        threads = {"num_threads": 1} if registry.specs[config.id][0] in TOYS else {}
+        if registry.specs[config.id][0] in TOYS:
+            threads = 1
         try:
             self.envs = envpool.make(
                 config.id,
                 env_type="gymnasium",
                 num_envs=len(seeds) * len(seeds[0]),
                 seed=[seed for own in seeds for seed in own],
-                **threads | config.options,
+                **({} if threads is None else {"num_threads": threads}) | config.options,
             )
         except Exception as error:  # envpool raises many types; all concern its input
             message = str(error).strip().splitlines() or [repr(error)]
@@ -145,6 +157,7 @@ def make_pools(
     start: int = 0,
     groups: int = 1,
     local_envs: slice = slice(None),
+    threads: int | None = None,
 ) -> list[Pool]:
     """Return the environments of a configuration, in pools that step independently.
 
@@ -155,6 +168,7 @@ def make_pools(
       start: the iteration that the run starts at.
       groups: the number of pools; the random streams of the environments do not depend on it.
       local_envs: the environments of each seed that this host steps.
+      threads: see `EnvpoolPool`.
 
     Raises:
       ConfigError: the task cannot be made with these options, or cannot be trained on.
@@ -162,23 +176,24 @@ def make_pools(
     streams = [env_seeds(seed, num_envs, start)[local_envs] for seed in seeds]
     size = len(streams[0]) // groups
     return [
-        make_pool_of(config, [own[k * size : (k + 1) * size] for own in streams])
+        make_pool_of(config, [own[k * size : (k + 1) * size] for own in streams], threads)
         for k in range(groups)
     ]
 
 
-def make_pool_of(config: EnvConfig, streams: list[list[int]]) -> Pool:
+def make_pool_of(config: EnvConfig, streams: list[list[int]], threads: int | None = None) -> Pool:
     """Return a pool of environments with given seeds.
 
     Args:
       config: the task and how it is read.
       streams: the seed of each environment of each agent.
+      threads: see `EnvpoolPool`.
 
     Raises:
       ConfigError: the task cannot be made with these options, or cannot be trained on.
     """
     if config.suite == "envpool":
-        return EnvpoolPool(config, streams)
+        return EnvpoolPool(config, streams, threads)
     if config.suite == "gymnasium":
         return GymnasiumPool(config, streams)
     from .jax_pool import JaxPool  # imports jax

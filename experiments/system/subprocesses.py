@@ -74,6 +74,7 @@ def start_command(
     arguments: Sequence[str],
     *,
     output: Any = None,
+    errors: Any = None,
     cwd: str | None = None,
     variables: Mapping[str, str] = {},
 ) -> subprocess.Popen[bytes]:
@@ -86,6 +87,7 @@ def start_command(
       command: the name of the command, such as "run".
       arguments: the arguments of the command.
       output: a file for what the child prints; None: the output of this process.
+      errors: a file for what it prints on stderr; None: `output`.
       cwd: the working directory of the child; None: that of this process.
       variables: further environment variables.
 
@@ -96,7 +98,7 @@ def start_command(
         command_line(command, *arguments, dies_with_parent=True),
         stdin=subprocess.DEVNULL,
         stdout=output,
-        stderr=output,
+        stderr=output if errors is None else errors,
         cwd=cwd,
         env=child_environment(**variables),
         start_new_session=True,

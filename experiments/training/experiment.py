@@ -22,7 +22,7 @@ from .agents import build_agent, init_states, make_seeds_train_step
 from .cpu_cores import place_on_cores
 from .placement import SINGLE_DEVICE, SingleDevice
 from .policy_lag import first_actor
-from .rollouts import Collector, choose_num_pools
+from .rollouts import Collector, choose_num_pools, env_threads
 from .scan_collector import (
     ScanCollector,
     first_environments,
@@ -153,6 +153,7 @@ def build_experiment(
     placement: SingleDevice = SINGLE_DEVICE,
     start_iteration: int = 0,
     probe: bool = False,
+    groups: int | None = None,
 ) -> Experiment:
     """Return the environments and the agent of a configuration; set the precision of products.
 
@@ -160,6 +161,7 @@ def build_experiment(
       config: a valid configuration.
       placement: the devices that compute, and the environments that this host steps.
       start_iteration: the iteration that the run starts at; it seeds the environments' streams.
+      groups: the number of pools that the environments are divided into; None: as fits the device.
       probe: make only one environment, to read its spaces, and close it. For agents that play in
         other environments, or in none.
 
@@ -178,8 +180,9 @@ def build_experiment(
             start_iteration,
             1
             if config.env.suite in JAX_SUITES
-            else placement.num_pools(choose_num_pools(config.num_envs), config.num_envs),
+            else placement.num_pools(groups or choose_num_pools(config.num_envs), config.num_envs),
             placement.local_env_slice(config.num_envs),
+            env_threads(),
         )
         check_rollout_memory(config, pools[0])
     if type(placement) is SingleDevice:
