@@ -19,6 +19,7 @@ from .gpu_page import read_rows, write_page
 from .gpu_steps import STEPS
 
 PATIENCE = 600.0  # seconds that a run may take from the signal to its checkpoint
+LEAST_MEASURE = 20.0  # seconds that a measurement gets, however short the suite is
 LEAST_SECONDS = 90  # of a round of runs: half of it is compilation
 
 
@@ -150,7 +151,7 @@ class Suite:
                 raise unknown_name_error("measurement", name, shares)
         self.out.mkdir(parents=True, exist_ok=True)
         for name in wanted:
-            seconds = min(self.left(), max(shares[name] * self.seconds, 1.0))
+            seconds = min(self.left(), max(shares[name] * self.seconds, LEAST_MEASURE))
             if seconds > 1:
                 print(f"{name}: at most {seconds:.0f} s", flush=True)
                 print(f"{name}: {self.measure(name, seconds)}", flush=True)

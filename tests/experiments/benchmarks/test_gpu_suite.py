@@ -2,34 +2,97 @@
 
 import json
 import sys
+import time
 
-from experiments.benchmarks import gpu_suite as evidence
+import pytest
+
+from experiments.benchmarks import gpu_page, gpu_suite
+from experiments.benchmarks.gpu_steps import STEPS
 from experiments.gpu_suite import main
+
+MINUTE = ["minutes=1", "cpu=true", "envs=MountainCar", "algos=sp_vinv", "at_once=1"]
 
 
 def test_gpu_suite_without_gpu_runs_nothing_and_prints_reason(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(evidence, "jax_backend", lambda: "cpu")
+    monkeypatch.setattr(gpu_suite, "jax_backend", lambda: "cpu")
     assert main(["--out", str(tmp_path / "out")]) == 2
     assert "jax sees no GPU here: not run" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_gpu_suite_runs_stop_at_their_share_and_resume_when_called_again(tmp_path):
-    def steps_after(out, minutes):
-        arguments = ["--minutes", minutes, "--envs", "MountainCar", "--algos", "sp_vinv"]
-        assert main(["--cpu", *arguments, "--out", str(out)]) == 0
-        run = out / "MountainCar" / "sp_vinv"
-        assert list((run / "checkpoints").iterdir())
-        assert (out / "report" / "index.html").is_file()
-        return json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])["step"]
+def test_gpu_suite_a_minute_on_a_cpu_measures_trains_and_writes_the_page(tmp_path, capsys):
+    out, runs = tmp_path / "out", tmp_path / "my runs, a=1"  # a name that Hydra reads in quotes
+    places = [f"out={out}", f"runs={runs}"]
+    begun = time.monotonic()
+    assert main([*MINUTE, *places, "steps=pool,module_beside,overlap"]) == 0
+    assert time.monotonic() - begun < 120
+    page = (out / "suite.md").read_text()
+    assert "small tasks on a CPU" in page
+    rate = {name: json.loads((out / f"{name}.jsonl").read_text()) for name in ("pool", "overlap")}
+    assert rate["overlap"]["small"]
+    assert rate["overlap"]["options"].endswith("overlap=1")
+    share = rate["overlap"]["steps_per_second"] / rate["pool"]["steps_per_second"]
+    row = next(line for line in page.splitlines() if line.startswith("| overlap=1 |"))
+    assert f"| {rate['overlap']['steps_per_second']:,.0f} | {share:.2f} |" in row
+    assert "| overlap=1, 512 environments | not run |" in page
+    rows = gpu_page.read_rows(out / "run-MountainCar-sp_vinv.jsonl")
+    assert rows[-1]["steps_per_second"] > 0
+    assert f"| MountainCar-sp_vinv | {rows[-1]['step']:,} |" in page
+    assert (runs / "report" / "index.html").is_file()
+    # The same command finds the run again, whether it was whole or not.
+    again = [one for one in MINUTE if "minutes" not in one]
+    assert main([*again, *places, "steps=none", "minutes=0.5"]) == 0
+    assert gpu_page.read_rows(out / "run-MountainCar-sp_vinv.jsonl")[: len(rows)] == rows
 
-    whole = 1_003_520
-    for minutes in ("0.4", "0.25", "0.15"):  # a fast machine may complete the run
-        out = tmp_path / f"my runs, a={minutes}"  # a name that Hydra reads only in quotes
-        first = steps_after(out, minutes)
-        if first < whole:
-            break
-    assert 0 < first < steps_after(out, minutes) <= whole
+
+def test_Suite_measure_what_takes_too_long_is_stopped_and_its_rows_stay(tmp_path, monkeypatch):
+    stand_in = tmp_path / "slow"
+    stand_in.write_text('#!/bin/sh\necho \'{"case": "first"}\'\nexec sleep 60\n')
+    stand_in.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(stand_in))
+    suite = gpu_suite.Suite(tmp_path, tmp_path, 1, cpu=True)
+    begun = time.monotonic()
+    assert suite.measure("numbers", 2) == "1 row(s), stopped after 2 s"
+    assert time.monotonic() - begun < 20
+    assert gpu_page.read_rows(tmp_path / "numbers.jsonl") == [{"case": "first"}]
+
+
+def test_Suite_measure_that_fails_keeps_the_earlier_file_and_says_why(tmp_path, monkeypatch):
+    stand_in = tmp_path / "broken"
+    stand_in.write_text("#!/bin/sh\necho out of memory >&2\nexit 1\n")
+    stand_in.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(stand_in))
+    (tmp_path / "overlap.jsonl").write_text('{"steps_per_second": 5}\n')
+    suite = gpu_suite.Suite(tmp_path, tmp_path, 1, cpu=True)
+    assert suite.measure("overlap", 20) == "0 row(s), failed: out of memory"
+    assert gpu_page.read_rows(tmp_path / "overlap.jsonl") == [{"steps_per_second": 5}]
+
+
+def test_print_measurement_numbers_differ_from_float32_as_their_bits_say(capsys):
+    gpu_suite.print_measurement("numbers")
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(rows) == 3
+    first = rows[0]
+    assert first["default"] == first["float32"] == 0  # the same device
+    assert 0 < first["tf32"] < first["bf16"] < 0.05
+
+
+def test_write_page_goal_is_a_share_of_random_actions(tmp_path):
+    where = {"device": "GPU", "cores": 16, "versions": {}, "small": False}
+    for name, rate in (("pool", 20_000.0), ("overlap", 15_000.0), ("module_beside", 9_000.0)):
+        row = {"steps_per_second": rate} | where
+        (tmp_path / f"{name}.jsonl").write_text(json.dumps(row) + "\n" + '{"cut off')
+    gpu_page.write_page(tmp_path, "the command")
+    page = (tmp_path / "suite.md").read_text()
+    assert "| overlap=1 | 15,000 | 0.75 | 2.4 |" in page
+    assert "with overlap=1: met." in page
+    assert "small tasks" not in page
+
+
+def test_gpu_suite_unknown_measurement_is_refused(tmp_path, capsys):
+    assert main([*MINUTE, f"out={tmp_path / 'out'}", "steps=overlop"]) == 2
+    assert "did you mean overlap" in capsys.readouterr().err
+    assert len({step.name for step in STEPS}) == len(STEPS)
 
 
 RUN = """#!/bin/sh
@@ -48,7 +111,7 @@ def test_train_together_side_by_side_runs_start_at_once_and_write_to_files(tmp_p
     monkeypatch.setattr(sys, "executable", str(stand_in))
     monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
     cells = [("Venture", "ppo"), ("Venture", "broken"), ("Venture", "rnd")]
-    assert evidence.train_together(cells, tmp_path, 2.0, alone=False) == [0, 1, 0]
+    assert gpu_suite.train_together(cells, tmp_path, 2.0, alone=False) == [0, 1, 0]
     events = times.read_text().splitlines()
     assert sorted(events[:3]) == [f"begin env=Venture algo={a}" for a in ("broken", "ppo", "rnd")]
     assert sorted(events[3:]) == [f"end env=Venture algo={a}" for a in ("ppo", "rnd")]
@@ -56,18 +119,22 @@ def test_train_together_side_by_side_runs_start_at_once_and_write_to_files(tmp_p
     assert said == "says algo=rnd, all of the memory: false\n"
 
 
-def test_run_suite_rounds_share_the_minutes_and_a_failed_run_is_named(
-    tmp_path, monkeypatch, capsys
-):
+def test_Suite_train_rounds_share_the_time_and_a_failed_run_is_named(tmp_path, monkeypatch):
     asked = []
 
-    def train(cells, out, seconds, alone):
-        asked.append(([algo for _, algo in cells], seconds, alone))
-        return [int(algo == "rnd") for _, algo in cells]
+    def train(pairs, out, seconds, alone):
+        asked.append(([algo for _, algo in pairs], round(seconds), alone))
+        return [int(algo == "rnd") for _, algo in pairs]
 
-    monkeypatch.setattr(evidence, "train_together", train)
-    monkeypatch.setattr(evidence, "write_report", lambda *_, **__: None)
-    arguments = ["--cpu", "--minutes", "1", "--envs", "Venture", "--algos", "ppo,rnd,icm"]
-    assert main([*arguments, "--at-once", "2", "--out", str(tmp_path / "new" / "out")]) == 2
-    assert asked == [(["ppo", "rnd"], 30.0, False), (["icm"], 30.0, False)]
-    assert "these runs failed: Venture rnd (status 1)" in capsys.readouterr().err
+    monkeypatch.setattr(gpu_suite, "train_together", train)
+    monkeypatch.setattr(gpu_suite, "write_report", lambda *_, **__: None)
+    pairs = [("Venture", algo) for algo in ("ppo", "rnd", "icm")]
+    suite = gpu_suite.Suite(tmp_path / "out", tmp_path / "runs", 4, cpu=True)
+    with pytest.raises(Exception, match="these runs failed: Venture rnd \\(status 1\\)"):
+        suite.train(pairs, 2)
+    assert asked == [(["ppo", "rnd"], 120, False), (["icm"], 120, False)]
+    asked.clear()
+    gpu_suite.Suite(tmp_path / "out", tmp_path / "runs", 1, cpu=True).train(
+        pairs[:1] + pairs[2:], 1
+    )
+    assert asked == [(["ppo"], 60, True)]  # a minute is too short for two rounds

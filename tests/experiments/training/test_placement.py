@@ -135,3 +135,47 @@ def test_run_distributed_without_coordinator_names_the_missing_variable(tmp_path
     assert process.returncode == 2
     assert "JAX_COORDINATOR_ADDRESS" in err
     assert "Traceback" not in err
+
+
+PLACES = """
+import sys
+import jax
+from experiments.config.compose import load_config
+from experiments.training.device_mesh import choose_placement
+
+config = load_config(sys.argv[1:])
+found = choose_placement(config)
+learning = found.mesh.devices.flatten().tolist() if found.axis else [found.device]
+print([getattr(d, "id", None) for d in learning], getattr(found.acting.device, "id", None))
+"""
+
+
+@pytest.mark.parametrize(
+    ("devices", "arguments", "expected"),
+    [
+        (1, ["overlap=1"], "[None] None"),
+        (2, ["overlap=1"], "[0] 1"),
+        (3, ["overlap=1"], "[0, 1] 2"),
+        (2, [], "[0, 1] None"),
+        (2, ["overlap=1", "env.suite=gymnax"], "[0, 1] None"),  # one program does both
+    ],
+)
+def test_choose_placement_overlap_gives_the_last_device_to_the_policies(
+    devices, arguments, expected
+):
+    flags = f"--xla_force_host_platform_device_count={devices}"
+    done = subprocess.run(
+        [sys.executable, "-c", PLACES, "env=MountainCar", "algo=rnd", *arguments],
+        env=os.environ | {"PYTHONPATH": str(ROOT), "XLA_FLAGS": flags},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == expected
+
+
+def test_run_overlap_on_a_device_of_its_own_equals_overlap_on_one(tmp_path):
+    for name, devices in (("one", 1), ("two", 2), ("three", 3)):
+        finish(start(tmp_path / name, devices, *PLAIN, "overlap=1"))
+    assert_same(tmp_path / "two", tmp_path / "one")
+    assert_same(tmp_path / "three", tmp_path / "one")

@@ -1,7 +1,5 @@
 """Compare a rollout with a plain loop over the same environments."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,8 +10,8 @@ from experiments.config.compose import load_config
 from experiments.environments.pools import make_pool, make_pools
 from experiments.system.errors import ConfigError
 from experiments.training.agents import build_agent, init_states
+from experiments.training.placement import SINGLE_DEVICE
 from experiments.training.rollouts import Collector
-from experiments.training.seeds import map_over_seeds
 from sndjax.rollout import make_frame_stacker
 
 
@@ -32,13 +30,14 @@ def test_Collector_collect_arrays_equal_those_of_environments_and_policy(groups)
     example = jnp.zeros((4, 96, 96, 1), jnp.uint8)
     state = init_states(agent, [0, 1], example)
     actor = sndjax.Actor(state.policy, state.observations, state.key)
-    act = jax.jit(map_over_seeds(functools.partial(sndjax.act, agent), 2, shared=1))
-    collector = Collector(pools, act, 4, 16, agent.network)
+    collector = Collector(pools, agent, config, SINGLE_DEVICE)
+    started = []
     frame = plain.reset()
     first = np.ones((2, 4), bool)
     for _ in range(2):  # the second rollout begins where the first ended
-        batch, track = jax.tree.map(np.array, collector.collect(actor))
+        batch, track = jax.tree.map(np.array, collector.collect(actor, beside=started.append))
         rollout = batch.rollout
+        assert started[-16 * groups :] == [(i + 1) / (16 * groups) for i in range(16 * groups)]
         for t in range(16):
             np.testing.assert_array_equal(rollout.frames[:, t], frame)
             np.testing.assert_array_equal(rollout.first[:, t], first)
