@@ -4,7 +4,7 @@
 # make test-all       every cell of the grid on every kind of input too (an hour)
 # make test-survival  fifty kills, thousands of bad inputs, half an hour of load (an hour)
 # make bench   the benchmark of six algorithms against the committed figures (a quarter of an hour)
-# make gpu-evidence   the thesis' hard games on a GPU for MINUTES minutes (60); called again, it resumes
+# make gpu-suite      what can be learned on a GPU in MINUTES minutes (10); called again, it resumes
 # make docs    the manual: build/site/index.html, without a network
 # make check   formatter, linter and type checker
 # make style   how the code is documented, in numbers
@@ -13,10 +13,10 @@
 # make .venv/.jax-envs  environments that live in JAX (gymnax, Craftax, XLand-MiniGrid), which they use too
 # make .venv/.docs      what builds the manual
 PYTHON ?= python3
-MINUTES ?= 60
+MINUTES ?= 10
 RUN := .venv/bin/python
 
-.PHONY: .venv quick style demo test test-all test-survival bench gpu-evidence check format docs
+.PHONY: .venv quick style demo test test-all test-survival bench gpu-suite check format docs
 .venv: .venv/.complete
 
 .venv/.complete: requirements.txt pyproject.toml bootstrap.py
@@ -52,8 +52,8 @@ test-survival: .venv/.sweeps .venv/.jax-envs
 bench: .venv/.complete
 	@$(RUN) -m experiments.cli bench_suite
 
-gpu-evidence: .venv/.complete
-	@$(RUN) -m experiments.cli gpu_suite --minutes $(MINUTES)
+gpu-suite: .venv/.complete
+	@$(RUN) -m experiments.cli gpu_suite minutes=$(MINUTES)
 
 docs: .venv/.docs
 	@NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(RUN) -m mkdocs build

@@ -7,7 +7,6 @@ python -m experiments.run env=gymnasium env.id=examples.slow_environment:Slow-v0
 import time
 
 import gymnasium as gym
-import numpy as np
 
 from examples.own_environment import LENGTH, Corridor
 

@@ -30,7 +30,7 @@ COMMANDS = {
     "compiled_cost": "print what the compiled updates compute",
     "convolutions": "time a convolution's implementations side by side",
     "budget": "estimate what a sweep costs",
-    "gpu_suite": "train the thesis' hard games on a GPU while there is time",
+    "gpu_suite": "learn what can be learned on a GPU in a given time",
     "external": "run another project's RND on our task",
 }
 ALIASES = {  # earlier names
