@@ -15,6 +15,7 @@ from ..system.errors import TaskError
 from ..system.interrupts import Interrupted, Interrupts
 from ..system.jax_settings import jit_is_disabled
 from ..system.process import return_freed_memory
+from .background_learner import BackgroundLearner
 from .experiment import Experiment, RunState
 from .flops import estimate_seconds
 from .learners import Learner, SlicedLearner, make_learner
@@ -143,9 +144,10 @@ class HostIterations:
         """
         self.experiment, self.watch, self.done = experiment, watch, done
         self.placement, self.collector = experiment.placement, collector
-        self.learner = make_learner(experiment) if learner is None else learner
         config = experiment.config
-        self.ahead = bool(config.overlap) or isinstance(self.learner, SlicedLearner)
+        chosen = make_learner(experiment) if learner is None else learner
+        self.ahead = bool(config.overlap) or isinstance(chosen, SlicedLearner)
+        self.learner: Learner = BackgroundLearner(chosen) if self.ahead else chosen
         self.lagging = jax.jit(map_over_seeds(lagging_actor, config.num_seeds))
         self.lag = jax.jit(policy_lag)
         self.collected: Collected | None = None  # the rollout of the next iteration

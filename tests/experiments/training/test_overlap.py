@@ -5,6 +5,7 @@ The oracle is a plain loop: collect, learn, and keep the policies of earlier ite
 
 import signal
 import subprocess
+import time
 
 import jax
 import jax.numpy as jnp
@@ -114,6 +115,42 @@ def test_HostIterations_module_beside_the_next_rollout_equals_one_after_the_othe
     assert all("policy_lag" not in r.metrics for r in results)
 
 
+def test_HostIterations_overlap_collects_while_a_learner_is_slow_to_start():
+    """XLA waits on the host for conditions on a GPU; here the start of a program sleeps."""
+    times = {"began": [], "started": [], "collected": []}
+
+    class Slow(WholeLearner):
+        def begin(self, train, batch):
+            times["began"].append(time.monotonic())
+            time.sleep(1)
+            super().begin(train, batch)
+            times["started"].append(time.monotonic())
+
+    collect = HostIterations.collect
+
+    def watched(self, *arguments):
+        found = collect(self, *arguments)
+        times["collected"].append(time.monotonic())
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(HostIterations, "collect", watched)
+        run_iterations([*CART, "overlap=1"], 3, Slow)
+    for began, started, collected in zip(
+        times["began"][1:-1], times["started"][1:-1], times["collected"][2:], strict=True
+    ):
+        assert began < collected < started
+
+
+def test_HostIterations_error_of_the_learner_is_raised_and_not_what_follows_from_it():
+    class Broken(WholeLearner):
+        def begin(self, train, batch):
+            raise ValueError("the first")
+
+    with pytest.raises(ValueError, match="the first"):
+        run_iterations([*CART, "overlap=1"], 2, Broken)
+
+
 def test_make_iterations_overlap_learns_what_a_loop_one_policy_behind_learns():
     arguments = [*TASKS["jax"], "overlap=1"]
     experiment = build_experiment(load_config(arguments))
@@ -164,6 +201,7 @@ def test_run_overlap_stopped_by_a_signal_keeps_the_rollout_it_learns_from(tmp_pa
     with start([*slow, f"run_dir={path}"], tmp_path, subprocess.DEVNULL) as process:
         while not (path / "metrics.jsonl").exists() or len(lines(path)) < 4:
             assert process.poll() is None, process.communicate()
+        time.sleep(0.5)  # into the rollout, which takes 1.3 s
         seen = len(lines(path)) // 2
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=60)
