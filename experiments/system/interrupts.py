@@ -125,18 +125,24 @@ class Interrupts:
             raise Interrupted(self.received)
 
     @contextmanager
-    def waiting(self, grace: float = 0.0) -> Iterator[None]:
+    def waiting(self, grace: float = 0.0, started: bool = False) -> Iterator[None]:
         """Let a signal interrupt the enclosed wait, `grace` seconds after the signal arrives.
 
         A second signal interrupts the wait at once.
 
+        Args:
+          grace: in seconds.
+          started: what is waited for was started before; it gets its grace even if a signal has
+            arrived since then.
+
         Raises:
           Interrupted: a signal was received.
         """
-        self.check()
+        if not started:
+            self.check()
         self.grace = grace
         try:
-            if self.received is not None:  # the signal arrived after the check
+            if self.received is not None:  # the signal has arrived by now
                 self.alarm(grace)
             yield
         finally:

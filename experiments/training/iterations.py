@@ -91,9 +91,14 @@ class Watch(NamedTuple):
     interrupts: Interrupts
     hosts: int
 
-    def breakable(self, grace: float = 0.0) -> AbstractContextManager[None]:
-        """Return a context in which a signal interrupts waiting, if this is the only host."""
-        return self.interrupts.waiting(grace) if self.hosts == 1 else nullcontext()
+    def breakable(self, grace: float = 0.0, started: bool = False) -> AbstractContextManager[None]:
+        """Return a context in which a signal interrupts waiting, if this is the only host.
+
+        Args:
+          grace: see `Interrupts.waiting`.
+          started: see there.
+        """
+        return self.interrupts.waiting(grace, started) if self.hosts == 1 else nullcontext()
 
     def compile(self, what: str, function: Any, *args: Any) -> tuple[Callable[..., Any], float]:
         """Compile a jitted function, and return it with an estimate of its seconds.
@@ -179,7 +184,7 @@ class HostIterations:
             parts["collect_seconds"] = self.collect_ahead(next_actor)
         waiting = time.monotonic()
         self.watch.progress.phase("learning", None if self.ahead else self.update_seconds)
-        with self.watch.breakable(GRACE_SECONDS):
+        with self.watch.breakable(GRACE_SECONDS, started=self.ahead):
             train, found, reward = jax.block_until_ready(self.learner.finish())
         now = time.monotonic()
         if self.ahead:

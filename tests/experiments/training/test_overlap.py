@@ -209,7 +209,7 @@ def test_run_overlap_stopped_by_a_signal_keeps_the_rollout_it_learns_from(tmp_pa
     done = len(lines(path)) // 2
     assert done > seen  # the rollout it learned from when the signal came is not lost
     assert sorted(int(p.name) for p in (path / "checkpoints").iterdir())[-1] == done
-    arguments = [f"resume={path}", f"total_steps={(done + 2) * STEPS}"]
+    arguments = [f"resume={path}", slow[1], f"total_steps={(done + 2) * STEPS}"]
     with start(arguments, tmp_path, subprocess.DEVNULL) as process:
         _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
