@@ -23,7 +23,9 @@ class Options:
     """The options of the command."""
 
     minutes: float = option(10.0, "for everything together, compilation too", above=0)
-    out: str = option("docs/results/gpu", "where the figures and the page go")
+    out: str | None = option(
+        None, "where the figures and the page go; default docs/results/gpu, with cpu: RUNS/figures"
+    )
     runs: str = option("runs/gpu_suite", "where the runs are; called again it resumes them")
     envs: str = option("Coinrun,Jumper,Climber,Caveflyer", "environments of the runs, with commas")
     algos: str = option("ppo,rnd,snd_std,snd_vic,snd_vinv", "algorithms of the runs, with commas")
@@ -37,7 +39,7 @@ class Options:
     cpu: bool = option(False, "also where jax sees no GPU: of small tasks, to try the command")
 
 
-def suite(paths: list[Path], options: Options) -> None:
+def measure_and_train(paths: list[Path], options: Options) -> None:
     """Measure, train for the rest of the time, and write the page.
 
     Raises:
@@ -52,14 +54,14 @@ def suite(paths: list[Path], options: Options) -> None:
         print_measurement(options.measure)
     else:
         runs = Path(options.runs)
-        Suite(Path(options.out), runs, options.minutes, options.cpu).run(
-            options.steps, pairs, options.at_once
-        )
+        out = runs / "figures" if options.cpu else Path("docs/results/gpu")
+        suite = Suite(Path(options.out or out), runs, options.minutes, options.cpu)
+        suite.run(options.steps, pairs, options.at_once)
 
 
 def main(arguments: list[str]) -> int:
     """Run the command, and return its exit status."""
-    return run_command(__doc__, Options, suite, arguments, paths="none")
+    return run_command(__doc__, Options, measure_and_train, arguments, paths="none")
 
 
 if __name__ == "__main__":

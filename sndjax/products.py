@@ -1,9 +1,11 @@
 """Matrix products at jax's default matmul precision, on every device.
 
-A program traced under `jax.default_matmul_precision` multiplies with operands of fewer bits on an
-accelerator. A CPU would ignore the setting, so here the operands are rounded before the product,
-and the gradient too: what a GPU would compute, up to the order of summation, can be tried and
-tested anywhere. Without a setting a product is `lax.dot_general`, and nothing is rounded.
+A program traced under `jax.default_matmul_precision("BF16_BF16_F32")`, or with TF32, multiplies
+with operands of fewer bits on an accelerator. A CPU would ignore the setting, so here the operands
+are rounded before the product, and the gradient too: what a GPU would compute, up to the order of
+summation, can be tried and tested anywhere. ("bfloat16" and "tensorfloat32" mean the same here; on
+a GPU they are jax's words for its fastest and its next precision.) Without a setting a product is
+`lax.dot_general`, and nothing is rounded.
 """
 
 from functools import partial

@@ -95,5 +95,5 @@ def test_train_step_loss_terms_at_fewer_bits_are_near_those_of_float32(name, alg
     terms = [key for key in exact if key.endswith("loss") or key.startswith(("vicreg", "st_dim"))]
     assert len(terms) >= 5
     for key in terms:
-        np.testing.assert_allclose(rough[key], exact[key], rtol=1e-2, atol=1e-2, err_msg=key)
+        np.testing.assert_allclose(rough[key], exact[key], rtol=1e-2, atol=1e-3, err_msg=key)
     assert any(float(rough[key]) != float(exact[key]) for key in terms)

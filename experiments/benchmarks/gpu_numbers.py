@@ -11,7 +11,7 @@ import numpy as np
 import sndjax
 from sndjax.algorithms import NAMED
 
-from ..system.jax_settings import PRECISIONS, set_precision
+from ..system.jax_settings import PRECISIONS, at_precision
 from .convolutions import policy_gradient
 
 STEPS, ENVS, ACTIONS = 8, 8, 5
@@ -109,12 +109,17 @@ def convolutions() -> tuple[Callable[..., Any], tuple[Any, ...]]:
 
 
 def relative_difference(found: Any, wanted: Any) -> float:
-    """Return the largest of max |found - wanted| / max |wanted| over the leaves of two trees."""
-    pairs = zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True)
-    return max(
-        float(np.abs(np.asarray(a) - np.asarray(b)).max() / max(np.abs(np.asarray(b)).max(), 1e-30))
-        for a, b in pairs
-    )
+    """Return the largest of max |found - wanted| / max |wanted| over the leaves of two trees.
+
+    It is infinite where a number is not finite.
+    """
+    most = 0.0
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        a, b = np.asarray(one, np.float64), np.asarray(other, np.float64)
+        if not (np.isfinite(a).all() and np.isfinite(b).all()):
+            return float("inf")
+        most = max(most, float(np.abs(a - b).max() / max(np.abs(b).max(), 1e-30)))
+    return most
 
 
 class Case(NamedTuple):
@@ -152,15 +157,27 @@ def compare_numbers(toy: bool) -> Iterator[dict[str, Any]]:
     Args:
       toy: only some cases, for a test.
     """
-    cpu, here = jax.devices("cpu")[0], jax.devices()[0]
     for case in [cases()[i] for i in (1, 3, 10)] if toy else cases():
-        function, arguments = case.make()
-        with jax.default_device(cpu), jax.default_matmul_precision("float32"):
-            wanted = jax.jit(function)(*jax.device_put(arguments, cpu))
-        row: dict[str, Any] = {"case": case.name}
-        for precision in (None, *case.precisions):
-            set_precision(precision)
-            found = jax.jit(function)(*jax.device_put(arguments, here))
-            row[precision or "default"] = relative_difference(found, wanted)
-        set_precision(None)
-        yield row
+        try:
+            yield {"case": case.name} | compare_case(case)
+        except Exception as error:  # the other cases are worth knowing
+            yield {"case": case.name, "error": str(error).splitlines()[0]}
+
+
+def compare_case(case: Case) -> dict[str, float]:
+    """Return the relative differences of a case, by the precision of products.
+
+    Args:
+      case: the computation.
+    """
+    cpu, here = jax.devices("cpu")[0], jax.devices()[0]
+    function, arguments = case.make()
+    with jax.default_device(cpu):
+        reference = jax.jit(at_precision("float32", function))
+        wanted = reference(*jax.device_put(arguments, cpu))
+    found = {}
+    for precision in (None, *case.precisions):
+        run = jax.jit(at_precision(precision, function))
+        value = run(*jax.device_put(arguments, here))
+        found[precision or "default"] = relative_difference(value, wanted)
+    return found

@@ -2,8 +2,10 @@
 
 import json
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+from ..reporting.thesis_tables import format_published, thesis_numbers
 from ..system.files import write_atomically
 from .gpu_steps import STEPS
 
@@ -31,6 +33,8 @@ def number_table(rows: list[dict[str, Any]]) -> list[str]:
     lines.append("|---|" + "---|" * len(names))
     for row in rows:
         figures = " | ".join(f"{row[name]:.1e}" if name in row else "" for name in names)
+        if "error" in row:
+            figures = f"failed: {row['error']} |" + " |" * (len(names) - 2)
         lines.append(f"| {row['case']} | {figures} |")
     return lines
 
@@ -41,7 +45,8 @@ def rate_table(rates: dict[str, float]) -> list[str]:
     Args:
       rates: steps per second of all seeds together, by the names of steps.
     """
-    lines = ["| | steps/s | to random actions | hours for 128M steps |", "|---|---|---|---|"]
+    lines = ["| | steps/s | to random actions | hours for 128M steps of each seed |"]
+    lines.append("|---|---|---|---|")
     pool = rates.get("pool")
     for step in STEPS[1:]:
         found = rates.get(step.name)
@@ -49,7 +54,7 @@ def rate_table(rates: dict[str, float]) -> list[str]:
             lines.append(f"| {step.about} | not run | | |")
             continue
         share = f"{found / pool:.2f}" if pool and step.of_game else ""
-        hours = f"{128e6 / found / 3600:.1f}" if step.of_game else ""
+        hours = f"{step.seeds * 128e6 / found / 3600:.1f}" if step.of_game else ""
         lines.append(f"| {step.about} | {found:,.0f} | {share} | {hours} |")
     if pool and "overlap" in rates:
         met = "met" if rates["overlap"] / pool >= GOAL else "not met"
@@ -58,24 +63,49 @@ def rate_table(rates: dict[str, float]) -> list[str]:
 
 
 def run_table(out: Path) -> list[str]:
-    """Return the table of the runs of the last step: how far they came.
+    """Return the table of the runs of the last step: how far they came, beside the thesis' means.
 
     Args:
       out: the directory with a file for each.
     """
-    lines = ["| run | steps | steps/s at the end | last-100 return |", "|---|---|---|---|"]
+    thesis = {**thesis_numbers("5.6"), **thesis_numbers("5.8")}
+    lines = ["| run | steps | steps/s, median | last-100 return | the thesis' mean, 64M steps |"]
+    lines.append("|---|---|---|---|---|")
     for path in sorted(out.glob("run-*.jsonl")):
         rows = read_rows(path)
-        if rows:
-            last = rows[-1]
-            shown = last.get("last100_ext_return")
-            rate = last.get("steps_per_second")
-            lines.append(
-                f"| {path.stem.removeprefix('run-')} | {last['step']:,} "
-                f"| {'' if rate is None else format(rate, ',.0f')} "
-                f"| {'' if shown is None else format(shown, '.2f')} |"
-            )
-    return lines if len(lines) > 2 else ["Not run."]
+        if not rows:
+            continue
+        _, env, algo = path.stem.split("-", 2)
+        last, published = rows[-1], thesis.get((env, algo, "mean_episode_reward"))
+        # The last iteration of a run may collect nothing, and the first one compiles.
+        rates = [row["steps_per_second"] for row in rows[1:-1] if "steps_per_second" in row]
+        shown = last.get("last100_ext_return")
+        lines.append(
+            f"| {env} {algo} | {last['step']:,} "
+            f"| {format(median(rates), ',.0f') if rates else ''} "
+            f"| {'' if shown is None else format(shown, '.2f')} "
+            f"| {'' if published is None else format_published(published)} |"
+        )
+    pictures = [f"![{path.stem}]({path.name})" for path in sorted(out.glob("*-return.png"))]
+    return [*lines, "", *pictures] if len(lines) > 2 else ["Not run."]
+
+
+def newest_of_one_device(out: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return the rows of every step that was measured on the device of the newest one.
+
+    Args:
+      out: the directory.
+    """
+    places = [out / f"{step.name}.jsonl" for step in STEPS]
+    found = {path.stem: read_rows(path) for path in places}
+    there = [path for path in places if found[path.stem]]
+    if not there:
+        return {}
+    where = ("device", "cores", "small")
+    newest = found[max(there, key=lambda path: path.stat().st_mtime).stem][-1]
+    same = lambda row: all(row[name] == newest[name] for name in where)
+    kept = {name: [row for row in rows if same(row)] for name, rows in found.items()}
+    return {name: rows for name, rows in kept.items() if rows}
 
 
 def write_page(out: Path, command: str) -> None:
@@ -85,13 +115,13 @@ def write_page(out: Path, command: str) -> None:
       out: the directory.
       command: that made them.
     """
-    files = {step.name: read_rows(out / f"{step.name}.jsonl") for step in STEPS}
+    files = newest_of_one_device(out)
     rates = {
         name: rows[-1]["steps_per_second"]
         for name, rows in files.items()
-        if rows and "steps_per_second" in rows[-1]
+        if "steps_per_second" in rows[-1]
     }
-    first = next((rows[0] for rows in files.values() if rows), None)
+    first = next((rows[0] for rows in files.values()), None)
     where = "Not run: no GPU was there."
     if first is not None:
         versions = ", ".join(f"{name} {value}" for name, value in first["versions"].items())
@@ -108,7 +138,7 @@ def write_page(out: Path, command: str) -> None:
         "",
         "## Numbers against float32 on a CPU",
         "",
-        *number_table(files["numbers"]),
+        *number_table(files.get("numbers", [])),
         "",
         "## Whole iterations of snd_std on Venture, and environments in JAX",
         "",

@@ -33,6 +33,12 @@ class Step(NamedTuple):
         """Return whether it times the game that the pools of random actions play."""
         return self.options[:1] == GAME[:1]
 
+    @property
+    def seeds(self) -> int:
+        """Return the number of agents that are trained at once."""
+        given = [one for one in self.options if one.startswith("num_seeds=")]
+        return int(given[-1].partition("=")[2]) if given else 1
+
 
 def game_step(
     name: str, about: str, *options: str, learner: str | None = None, groups: int | None = None

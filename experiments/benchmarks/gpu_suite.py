@@ -1,9 +1,15 @@
 """Everything that is to be known on a GPU, each in a child process, within a given time."""
 
 import json
+import os
+import shutil
 import signal
 import subprocess
+import sys
+import tempfile
+import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -12,13 +18,16 @@ from ..config.validation import unknown_name_error
 from ..reporting.run_report import write_report
 from ..sweeps.job_runner import memory_sharing_variables
 from ..system.errors import ConfigError
+from ..system.files import write_atomically
 from ..system.process import available_cores, enable_compilation_cache
 from ..system.subprocesses import run_code, start_command
 from ..system.versions import versions
-from .gpu_page import read_rows, write_page
+from .gpu_page import PAGE, read_rows, write_page
 from .gpu_steps import STEPS
 
 PATIENCE = 600.0  # seconds that a run may take from the signal to its checkpoint
+STOP_SECONDS = 30.0  # of them, in the suite
+LOOK_SECONDS = 10.0  # between two looks at the logs of runs
 LEAST_MEASURE = 20.0  # seconds that a measurement gets, however short the suite is
 LEAST_SECONDS = 90  # of a round of runs: half of it is compilation
 
@@ -28,18 +37,34 @@ def jax_backend() -> str:
     return run_code("import jax; print(jax.default_backend())").stdout.strip()
 
 
-def wait_for_checkpoint(process: subprocess.Popen[bytes]) -> int:
-    """Wait for a run after a SIGTERM; return its exit status, or 0 if the signal ended it."""
+def wait_for_checkpoint(process: subprocess.Popen[bytes], patience: float) -> int:
+    """Wait for a run after a SIGTERM; return its exit status, or 0 if the signal ended it.
+
+    Args:
+      process: the run.
+      patience: the seconds until it is killed.
+    """
     try:
-        status = process.wait(PATIENCE)
+        status = process.wait(patience)
     except subprocess.TimeoutExpired:
         process.kill()
         status = process.wait()
     return 0 if status in (128 + signal.SIGTERM, -signal.SIGTERM) else status
 
 
+def one_gpu() -> dict[str, str]:
+    """Return the environment variable that shows a child process the first GPU alone."""
+    name = "CUDA_VISIBLE_DEVICES"
+    return {name: os.environ.get(name, "0").partition(",")[0]}
+
+
 def train_together(
-    pairs: list[tuple[str, str]], out: Path, seconds: float, alone: bool
+    pairs: list[tuple[str, str]],
+    out: Path,
+    seconds: float,
+    alone: bool,
+    patience: float = PATIENCE,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> list[int]:
     """Start or resume runs side by side for some seconds, and return their exit statuses.
 
@@ -51,10 +76,15 @@ def train_together(
       out: the directory of the runs.
       seconds: the time until the SIGTERM.
       alone: whether one run has the GPU and the terminal; otherwise the runs share the memory of
-        the GPU and write to files.
+        the GPU and the cores, and write to files.
+      patience: the seconds that they may take to stop.
+      meanwhile: called every `LOOK_SECONDS`.
     """
     end, processes = time.monotonic() + seconds, []
-    variables = {} if alone else memory_sharing_variables()
+    variables = one_gpu()
+    if not alone:
+        share = max(1, available_cores() // len(pairs))
+        variables |= memory_sharing_variables() | {"PJRT_NPROC": str(share)}
     with ExitStack() as files:
         try:
             for env, algo in pairs:
@@ -68,12 +98,18 @@ def train_together(
                     start_command("run", arguments, output=output, variables=variables)
                 )
             for process in processes:
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(max(0.0, end - time.monotonic()))
+                while process.poll() is None and time.monotonic() < end:
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(min(LOOK_SECONDS, max(0.0, end - time.monotonic())))
+                    meanwhile()
         finally:
             for process in processes:
                 process.terminate()
-            statuses = [wait_for_checkpoint(process) for process in processes]
+            last = time.monotonic() + patience
+            statuses = [
+                wait_for_checkpoint(process, max(1.0, last - time.monotonic()))
+                for process in processes
+            ]
     return statuses
 
 
@@ -88,15 +124,15 @@ def print_measurement(name: str) -> None:
     Raises:
       ConfigError: there is no such step.
     """
-    from .gpu_measurements import measure  # imports jax
-    from .timing import device_name, print_line
-
     known = {step.name: step for step in STEPS}
     if name not in known:
         raise unknown_name_error("measurement", name, known)
-    enable_compilation_cache()
     import jax
 
+    from .gpu_measurements import measure
+    from .timing import device_name, print_line
+
+    enable_compilation_cache()
     toy = jax.default_backend() == "cpu"
     for row in measure(known[name], toy):
         where = {"device": device_name(), "cores": available_cores(), "versions": versions()}
@@ -150,48 +186,62 @@ class Suite:
             if name not in shares:
                 raise unknown_name_error("measurement", name, shares)
         self.out.mkdir(parents=True, exist_ok=True)
-        for name in wanted:
-            seconds = min(self.left(), max(shares[name] * self.seconds, LEAST_MEASURE))
-            if seconds > 1:
-                print(f"{name}: at most {seconds:.0f} s", flush=True)
-                print(f"{name}: {self.measure(name, seconds)}", flush=True)
-                write_page(self.out, self.command)
+        before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
         try:
+            for name in wanted:
+                seconds = min(self.left(), max(shares[name] * self.seconds, LEAST_MEASURE))
+                if seconds > 1:
+                    print(f"{name}: at most {seconds:.0f} s", flush=True)
+                    print(f"{name}: {self.measure(name, seconds)}", flush=True)
+                    write_page(self.out, self.command)
             self.train(pairs, at_once)
         finally:
+            signal.signal(signal.SIGTERM, before)
             self.keep_logs()
-            write_page(self.out, self.command)
-        print(f"page: {self.out / 'suite.md'}", flush=True)
+        print(f"page: {self.out / PAGE}", flush=True)
 
     def measure(self, name: str, seconds: float) -> str:
         """Take one measurement in a child process, and return what became of it.
 
-        Its rows go to its file as they come; what the file had before is replaced by the first.
+        A row is in the file of the step as soon as it comes; the first replaces what was there.
 
         Args:
           name: of the step.
           seconds: after which it is stopped.
         """
-        fresh, log = self.out / f".{name}.new", self.out / f".{name}.log"
-        with fresh.open("wb") as rows, log.open("wb") as errors:
-            child = start_command("gpu_suite", [f"measure={name}"], output=rows, errors=errors)
+        rows, said, path = 0, "", self.out / f"{name}.jsonl"
+        end = time.monotonic() + seconds
+        with tempfile.TemporaryFile() as errors:
+            child = start_command(
+                "gpu_suite",
+                [f"measure={name}"],
+                output=subprocess.PIPE,
+                errors=errors,
+                variables=one_gpu(),
+            )
+            assert child.stdout is not None
+            timer = threading.Timer(seconds, child.kill)
+            timer.start()
             try:
-                status = child.wait(seconds)
-            except subprocess.TimeoutExpired:
-                status = None
+                for line in child.stdout:
+                    if line.startswith(b"{"):
+                        with path.open("ab" if rows else "wb") as file:
+                            file.write(line)
+                        rows += 1
+                status = child.wait()
             finally:
+                timer.cancel()
                 child.kill()
                 child.wait()
-        lines = [line for line in fresh.read_text().splitlines() if line.startswith("{")]
-        fresh.unlink()
-        if lines:
-            (self.out / f"{name}.jsonl").write_text("\n".join(lines) + "\n")
-        said = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-        log.unlink()
-        became = f"{len(lines)} row(s)"
-        if status is None:
+            errors.seek(0)
+            lines = [one for one in errors.read().decode(errors="replace").splitlines() if one]
+            said = lines[-1] if lines else f"status {status}"
+        became = f"{rows} row(s)"
+        if status == 0:
+            return became
+        if time.monotonic() >= end:
             return f"{became}, stopped after {seconds:.0f} s"
-        return became if status == 0 else f"{became}, failed: {said[-1] if said else status}"
+        return f"{became}, failed: {said}"
 
     def train(self, pairs: list[tuple[str, str]], at_once: int) -> None:
         """Train for the rest of the time: as many rounds as can have `LEAST_SECONDS`.
@@ -205,29 +255,35 @@ class Suite:
         """
         rounds = [pairs[k : k + at_once] for k in range(0, len(pairs), at_once)]
         rounds = rounds[: max(1, int(self.left() / LEAST_SECONDS))]
-        share, failed = self.left() / len(rounds), []
-        if share < LEAST_SECONDS / 4:
+        stopping = min(STOP_SECONDS, self.left() / 10)  # of each round, and for the pages
+        share, failed = self.left() / len(rounds) - stopping, []
+        if share < LEAST_SECONDS / 5:
             print("no time is left for the runs", flush=True)
             return
         for together in rounds:
             names = [f"{env} {algo}" for env, algo in together]
             where = "" if at_once == 1 else f"; they write to {self.runs}/*/*.log"
             print(f"{', '.join(names)}: {share / 60:.1f} minutes{where}", flush=True)
-            statuses = train_together(together, self.runs, share, at_once == 1)
+            statuses = train_together(
+                together, self.runs, share, at_once == 1, max(stopping, 10.0), self.keep_logs
+            )
             pages = zip(names, statuses, strict=True)
             failed += [f"{name} (status {status})" for name, status in pages if status]
+            self.keep_logs()
         write_report([self.runs], self.runs / "report")
+        for picture in (self.runs / "report").glob("*-return.png"):
+            shutil.copyfile(picture, self.out / picture.name)
         if failed:
             raise ConfigError(
                 f"these runs failed: {', '.join(failed)}; the same command resumes the others"
             )
 
     def keep_logs(self) -> None:
-        """Copy the metrics of every run to the figures, with the rate of each iteration."""
+        """Copy the metrics of every run to the figures, with its rates, and write the page."""
         for path in sorted(self.runs.glob("*/*/metrics.jsonl")):
             rows = read_rows(path)
             times = {row["iteration"]: row for row in read_rows(path.with_name("times.jsonl"))}
-            for row in rows:
-                row |= times.get(row["iteration"], {})
+            lines = [json.dumps(row | times.get(row["iteration"], {})) + "\n" for row in rows]
             name = f"run-{path.parent.parent.name}-{path.parent.name}.jsonl"
-            (self.out / name).write_text("".join(json.dumps(row) + "\n" for row in rows))
+            write_atomically(self.out / name, "".join(lines))
+        write_page(self.out, self.command)

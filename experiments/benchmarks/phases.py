@@ -4,6 +4,7 @@ import json
 import resource
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -20,6 +21,7 @@ from sndjax.updates import update_intrinsic_module, update_policy
 from ..config.library import has_action_input
 from ..config.schema import Config
 from ..system.errors import ConfigError
+from ..system.jax_settings import at_precision
 from ..system.process import enable_compilation_cache
 from ..system.versions import versions
 from ..training.cpu_cores import use_cores
@@ -69,7 +71,8 @@ class PhaseBenchmark:
         self.timer.time_product()  # compiled here, and not counted
         self.timer.products.clear()
         self.config = config
-        self.experiment = build_experiment(config)
+        # On one device, also where jax has more for overlap=1.
+        self.experiment = build_experiment(replace(config, cores=1))
         self.agent = self.experiment.agent
         self.states = self.experiment.init_states()
         self.collector = self.experiment.make_collector()
@@ -123,14 +126,14 @@ class PhaseBenchmark:
                     state.pool.receive()
 
         def acting() -> None:
-            collector.open_rollout()
             for t in range(steps):
                 for k in range(len(pool_states)):
                     collector.acting.local_rows(collector.act(k, actor, t))
-            collector.take_records()
 
         found = {"environment": times * self.timer.seconds(stepping)}
+        collector.open_rollout()
         found["acting"] = times * (1 + 1 / config.rollout_length) * self.timer.seconds(acting)
+        collector.take_records()
         return found
 
     def rewards_phase(self, steps: int) -> Callable[..., Any]:
@@ -168,7 +171,9 @@ class PhaseBenchmark:
     def repeated(self, phase: Callable[..., Any], name: str) -> float:
         """Time a jitted phase; a trained state is the input of the next repetition."""
         learns = name != "rewards"
-        compiled = jax.jit(phase, donate_argnums=0 if learns else ())
+        compiled = jax.jit(
+            at_precision(self.config.precision, phase), donate_argnums=0 if learns else ()
+        )
 
         def work() -> Any:
             result = compiled(self.states, self.batch)

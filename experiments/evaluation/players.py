@@ -20,6 +20,7 @@ from ..environments.pools import env_seeds, make_pool, make_pool_of, whole_games
 from ..storage.array_trees import CheckpointError
 from ..storage.checkpoints import Checkpoints
 from ..system.errors import ConfigError
+from ..system.jax_settings import at_precision
 from ..training.experiment import build_experiment
 from ..training.snapshots import to_rgb
 
@@ -121,14 +122,13 @@ def make_choose(player: Player, greedy: bool, seed: int) -> Callable[..., Any]:
     key = jax.random.fold_in(state.key, seed)
     actor = sndjax.Actor(state.policy, state.observations, key)
 
-    @jax.jit
     def choose(
         memory: sndjax.ActorMemory, frame: jax.Array, first: jax.Array, step: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array, sndjax.ActorMemory]:
         output, memory = sndjax.act(agent, actor, memory, frame, first, step, greedy)
         return output.action, output.executed, output.value, memory
 
-    return choose
+    return jax.jit(at_precision(player.config.precision, choose))
 
 
 def step_limit(max_steps: int, episodes: int, frame_bytes: int) -> int:

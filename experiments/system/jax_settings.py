@@ -1,7 +1,9 @@
 """The environment variables of jax, and what is wrong with them if jax cannot start."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Any
 
 PLATFORMS = "JAX_PLATFORMS"
 
@@ -99,17 +101,26 @@ PRECISIONS = {
 }
 
 
-def set_precision(name: str | None) -> None:
-    """Set the precision of matrix products in everything that is traced from here on.
+def at_precision(name: str | None, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function whose matrix products have a precision wherever it is traced or called.
 
     Args:
-      name: a key of `PRECISIONS`; None: the device's own.
+      name: a key of `PRECISIONS`; None: jax's default, which JAX_DEFAULT_MATMUL_PRECISION sets.
+      function: of arrays, to be jitted.
     """
+    if name is None:
+        return function
     import jax
 
-    on_cpu, elsewhere = PRECISIONS[name] if name else (None, None)
-    value = on_cpu if jax.default_backend() == "cpu" else elsewhere
-    jax.config.update("jax_default_matmul_precision", value)
+    on_cpu, elsewhere = PRECISIONS[name]
+
+    @wraps(function)
+    def with_precision(*args: Any) -> Any:
+        value = on_cpu if jax.default_backend() == "cpu" else elsewhere
+        with jax.default_matmul_precision(value):
+            return function(*args)
+
+    return with_precision
 
 
 def jit_is_disabled() -> bool:

@@ -15,6 +15,7 @@ from sndjax.algorithms import NAMED
 from ..config.library import has_predictor
 from ..config.schema import Config
 from ..environments.pool import Pool
+from ..system.jax_settings import at_precision
 from .network_sizes import module_activation, network_sizes
 from .placement import SINGLE_DEVICE, SingleDevice
 from .seeds import map_over_seeds
@@ -144,7 +145,7 @@ def make_seed_train_step(
 
     Args:
       agent: the agent that learns.
-      config: the configuration, for `on_nan`.
+      config: the configuration, for `on_nan` and the precision of products.
       placement: the devices that compute.
     """
     step = sndjax.make_train_step(agent, placement.shard_rows, placement.beside)
@@ -154,7 +155,8 @@ def make_seed_train_step(
         fine = sndjax.all_finite(cast(Any, state)._replace(key=()))
         return state, metrics | {"state_finite": fine}, reward
 
-    return {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}[config.on_nan]
+    own = {"stop": watched, "skip": sndjax.skip_nonfinite(step), "ignore": step}[config.on_nan]
+    return at_precision(config.precision, own)
 
 
 def make_seeds_train_step(

@@ -32,13 +32,20 @@ class BackgroundLearner:
         self.begun = [self.thread.submit(self.learner.begin, train, batch)]
 
     def learn_policy(self) -> sndjax.Actor:
-        return self.thread.submit(self.learner.learn_policy).result()
+        last = self.thread.submit(self.learner.learn_policy)
+        self.wait()
+        return last.result()
 
     def advance(self, share: float) -> None:
         self.begun.append(self.thread.submit(self.learner.advance, share))
 
     def finish(self) -> Learned:
         last = self.thread.submit(self.learner.finish)
-        for task in self.begun:  # the first error is the cause of the others
-            task.result()
+        self.wait()
         return last.result()
+
+    def wait(self) -> None:
+        """Wait for everything that was begun; the first error is the cause of the others."""
+        begun, self.begun = self.begun, []
+        for task in begun:
+            task.result()

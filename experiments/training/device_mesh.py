@@ -203,8 +203,9 @@ class DeviceMesh(SingleDevice):
 def choose_placement(config: Config) -> SingleDevice:
     """Return the placement of a configuration on the available devices.
 
-    With overlap=1 and two devices or more, the last one acts and the others learn, each without
-    waiting for the other. Environments in JAX act and learn in one program, on the same devices.
+    With overlap=1 and two devices or more, the last one acts, and as many of the others learn as
+    seeds and environments can be divided among, without waiting for each other. Environments in
+    JAX act and learn in one program, on the same devices.
 
     Raises:
       ConfigError: the environments cannot be divided among the devices.
@@ -215,8 +216,24 @@ def choose_placement(config: Config) -> SingleDevice:
         return SINGLE_DEVICE
     if not acts_apart(config):
         return DeviceMesh(config.num_seeds, config.num_envs)
-    *learning, last = jax.devices()
+    *others, last = jax.devices()
     acting = SingleDevice(last)
-    if on_cores or len(learning) == 1:
-        return SingleDevice(learning[0], acting)
-    return DeviceMesh(config.num_seeds, config.num_envs, learning, acting)
+    count = 1 if on_cores else most_devices(config.num_seeds, config.num_envs, len(others))
+    if count == 1:
+        return SingleDevice(others[0], acting)
+    return DeviceMesh(config.num_seeds, config.num_envs, others[:count], acting)
+
+
+def most_devices(num_seeds: int, num_envs: int, there: int) -> int:
+    """Return the largest number of devices that seeds and environments can be divided among.
+
+    Args:
+      num_seeds: the number of seeds of the run.
+      num_envs: the number of environments of each seed.
+      there: how many devices there are.
+
+    >>> most_devices(1, 128, 3), most_devices(2, 128, 7), most_devices(3, 128, 3)
+    (2, 4, 3)
+    """
+    fits = lambda count: num_envs % (count // math.gcd(num_seeds, count)) == 0
+    return max(count for count in range(1, there + 1) if fits(count))

@@ -16,7 +16,6 @@ from ..config.schema import Config
 from ..environments.pool import Pool
 from ..environments.pools import EnvpoolPool, make_pools
 from ..system.errors import ConfigError
-from ..system.jax_settings import set_precision
 from ..system.process import available_memory
 from .agents import build_agent, init_states, make_seeds_train_step
 from .cpu_cores import place_on_cores
@@ -139,6 +138,8 @@ def check_rollout_memory(config: Config, pool: Pool) -> None:
     """
     frame = math.prod(pool.shape) * np.dtype(pool.dtype).itemsize
     needed = config.num_seeds * (config.rollout_length + 1) * config.num_envs * frame
+    if config.overlap:
+        needed *= 2  # one is learned from while the other is collected
     available = available_memory()
     if needed > available:
         raise ConfigError(
@@ -155,7 +156,7 @@ def build_experiment(
     probe: bool = False,
     groups: int | None = None,
 ) -> Experiment:
-    """Return the environments and the agent of a configuration; set the precision of products.
+    """Return the environments and the agent of a configuration.
 
     Args:
       config: a valid configuration.
@@ -168,7 +169,6 @@ def build_experiment(
     Raises:
       ConfigError: the task cannot be made or trained on, or the algorithm does not support it.
     """
-    set_precision(config.precision)
     if probe:
         pools = make_pools(config.env, config.seeds[:1], 1)
         pools[0].close()

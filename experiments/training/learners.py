@@ -10,6 +10,7 @@ import sndjax
 from sndjax.passes import count_steps
 from sndjax.sliced_step import SlicedLearning, SlicedStep, make_sliced_step
 
+from ..system.jax_settings import at_precision
 from .experiment import Experiment
 from .policy_lag import actor_of
 from .seeds import map_over_seeds
@@ -87,7 +88,9 @@ class SlicedLearner:
         """Take the programs of a run; nothing is compiled yet."""
         config = experiment.config
         pieces = make_sliced_step(experiment.agent)
-        own = lambda piece, shared=0: map_over_seeds(piece, config.num_seeds, shared)
+        own = lambda piece, shared=0: map_over_seeds(
+            at_precision(config.precision, piece), config.num_seeds, shared
+        )
         finish = with_finite_state(pieces) if config.on_nan == "stop" else pieces.finish
         self.programs = SlicedStep(
             begin=jax.jit(own(pieces.begin), donate_argnums=0),
@@ -141,7 +144,9 @@ class SlicedLearner:
 
     def finish(self) -> Learned:
         self.take(self.policy_steps + self.module_steps)
-        return self.compiled.finish(self.learning, self.policy, self.module)
+        learned = self.compiled.finish(self.learning, self.policy, self.module)
+        del self.learning, self.policy, self.module  # the rollout's memory
+        return learned
 
 
 def with_finite_state(pieces: SlicedStep) -> Callable[..., Any]:

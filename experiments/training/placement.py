@@ -160,6 +160,26 @@ class SingleDevice:
 SINGLE_DEVICE = SingleDevice()
 
 
+def overlap_message(config: Config, placement: SingleDevice) -> list[str]:
+    """Return the line that says which device acts while others learn; none where none does.
+
+    Args:
+      config: of the run.
+      placement: of the run.
+    """
+    if not acts_apart(config):
+        return []
+    acting = placement.acting.device
+    if acting is not None and placement.acting is not placement:
+        return [f"overlap=1: policies act on {acting}, of {jax.device_count()} devices"]
+    if jax.default_backend() != "cpu":
+        return ["overlap=1: the device acts between the steps of its learning"]
+    return [
+        "warning: overlap=1 gains nothing here: this CPU is one device of jax, and acting waits "
+        "for learning; unset XLA_FLAGS=--xla_force_host_platform_device_count=1"
+    ]
+
+
 def acts_apart(config: Config) -> bool:
     """Return True if policies can act on a device of their own, while the others learn."""
     return config.overlap > 0 and config.env.suite not in JAX_SUITES

@@ -13,6 +13,7 @@ import sndjax
 from sndjax.rollout import push_frame
 
 from ..config.schema import Config
+from ..system.jax_settings import at_precision
 from .seeds import map_over_seeds
 
 
@@ -76,7 +77,8 @@ def make_recorder(agent: sndjax.AgentSpec, config: Config, axis: str | None = No
       axis: on several devices, the name of the mesh's axis of seeds.
     """
     seeds, steps = config.num_seeds, config.rollout_length
-    act_seeds = map_over_seeds(partial(sndjax.act, agent), seeds, 1, axis)
+    act_one = at_precision(config.precision, partial(sndjax.act, agent))
+    act_seeds = map_over_seeds(act_one, seeds, 1, axis)
     push = partial(push_frame, repeat=agent.stack.repeat)
     push_seeds = map_over_seeds(push, seeds, axis=axis)
 

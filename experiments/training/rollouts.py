@@ -14,7 +14,7 @@ from sndjax import Actor, ActorCritic, ActorMemory, AgentSpec, Experience, Rollo
 
 from ..config.schema import Config
 from ..environments.pool import EnvStep, Pool
-from ..system.process import available_cores
+from .cpu_cores import usable_cores
 from .placement import SingleDevice
 from .recorder import Opening, Record, first_memory, init_hidden, make_recorder
 
@@ -26,7 +26,7 @@ def env_threads() -> int | None:
     step at the same time only now and then, and a pool whose policy is awaited leaves its cores to
     the other. The core that is left starts the programs of the device, for which all of them wait.
     """
-    return None if jax.default_backend() == "cpu" else max(1, available_cores() - 1)
+    return None if jax.default_backend() == "cpu" else max(1, usable_cores() - 1)
 
 
 # What the environments return in every step.

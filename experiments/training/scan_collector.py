@@ -18,6 +18,7 @@ from sndjax.collecting import collect_steps, make_row
 from ..config.schema import Config
 from ..environments.pool import Pool, training_reward
 from ..environments.pools import EnvpoolPool
+from ..system.jax_settings import at_precision
 from .recorder import init_hidden
 from .rollouts import RolloutInfo
 from .seeds import map_over_seeds
@@ -82,7 +83,7 @@ def make_envpool_collect(
         batch, live = collect_steps(agent, actor, live, step, config.rollout_length)
         return with_training_reward(config, batch, live)
 
-    return collect
+    return at_precision(config.precision, collect)
 
 
 def make_jax_collect(
@@ -101,7 +102,7 @@ def make_jax_collect(
         batch, live = sndjax.collect(agent, env, actor, live, key, config.rollout_length)
         return with_training_reward(config, batch, live)
 
-    return collect
+    return at_precision(config.precision, collect)
 
 
 def with_training_reward(

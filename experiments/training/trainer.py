@@ -25,6 +25,7 @@ from .experiment import RunState, build_experiment
 from .fused_iterations import FusedIterations
 from .iterations import HostIterations, IterationResult, Iterations, Watch
 from .nonfinite import keep_failed_update, nonfinite_terms
+from .placement import overlap_message
 from .run_logger import RunLogger
 from .run_states import load_run_state, resume_run_state, trees_beside
 
@@ -53,6 +54,7 @@ class Trainer:
         self.logger.messages += settings
         self.experiment = build_experiment(config, placement, self.logger.done)
         self.placement = self.logger.placement = self.experiment.placement
+        self.logger.messages += overlap_message(config, self.placement)
         pool = self.experiment.pool
         self.fused = pool.environment is not None
         self.episodes = EpisodeTracker(self.seeds, config.num_envs, pool.rooms)

@@ -79,7 +79,7 @@ if part == "whole":
     (place / "batches").write_bytes(pickle.dumps(batches))  # our own, of this test
 else:
     assert checkpoints.find(lambda manifest: None)[0] == 1
-    state = checkpoints.load(1, experiment.state_shapes())
+    state = checkpoints.load(1, experiment.run_shapes().train)
     for batch in pickle.loads((place / "batches").read_bytes())[1:]:
         state, *_ = step(state, batch)
 state = state._replace(key=jax.random.key_data(state.key))

@@ -49,7 +49,7 @@ def times(path):
 def tree_of(path, config=None):
     """Return the newest checkpoint of a run: its iteration, and its leaves as plain arrays."""
     config = config or load_config([f"resume={path}"])
-    like = build_experiment(config, probe=True).state_shapes()
+    like = build_experiment(config, probe=True).run_shapes().train
     checkpoints = Checkpoints(path)
     iteration, _, said = checkpoints.find(lambda manifest: None)
     assert not said

@@ -1,12 +1,17 @@
 """Test `gpu_suite` on a CPU, with tasks of seconds."""
 
 import json
+import os
+import signal
+import subprocess
 import sys
 import time
 
 import pytest
+from helpers.processes import ROOT
 
 from experiments.benchmarks import gpu_page, gpu_suite
+from experiments.benchmarks.gpu_numbers import relative_difference
 from experiments.benchmarks.gpu_steps import STEPS
 from experiments.gpu_suite import main
 
@@ -37,7 +42,7 @@ def test_gpu_suite_a_minute_on_a_cpu_measures_trains_and_writes_the_page(tmp_pat
     assert "| overlap=1, 512 environments | not run |" in page
     rows = gpu_page.read_rows(out / "run-MountainCar-sp_vinv.jsonl")
     assert rows[-1]["steps_per_second"] > 0
-    assert f"| MountainCar-sp_vinv | {rows[-1]['step']:,} |" in page
+    assert f"| MountainCar sp_vinv | {rows[-1]['step']:,} |" in page
     assert (runs / "report" / "index.html").is_file()
     # The same command finds the run again, whether it was whole or not.
     again = [one for one in MINUTE if "minutes" not in one]
@@ -89,6 +94,55 @@ def test_write_page_goal_is_a_share_of_random_actions(tmp_path):
     assert "small tasks" not in page
 
 
+def test_write_page_rows_of_another_device_are_left_out(tmp_path):
+    gpu = {"device": "GPU", "cores": 16, "versions": {}, "small": False}
+    for name, where in (("overlap", gpu | {"small": True, "device": "CPU"}), ("pool", gpu)):
+        row = json.dumps({"steps_per_second": 1000.0} | where)
+        (tmp_path / f"{name}.jsonl").write_text(row + "\n")
+        os.utime(tmp_path / f"{name}.jsonl", (1, 1 + (name == "pool")))
+    gpu_page.write_page(tmp_path, "the command")
+    page = (tmp_path / "suite.md").read_text()
+    assert "| overlap=1 | not run |" in page
+    assert "Device: GPU" in page
+    assert "met." not in page
+
+
+def test_relative_difference_what_is_not_finite_is_infinitely_far():
+    one = {"a": 1.0, "b": 2.0}
+    assert relative_difference({"a": 1.0, "b": 2.2}, one) == pytest.approx(0.1)
+    for other in ({"a": 1.0, "b": float("nan")}, {"a": float("inf"), "b": 2.0}):
+        assert relative_difference(other, one) == float("inf")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_Suite_run_cut_off_keeps_every_row_that_came(number, tmp_path):
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from experiments.benchmarks.gpu_suite import Suite\n"
+        "sys.executable = sys.argv[1]\n"
+        "Suite(Path(sys.argv[2]), Path('runs'), 9, cpu=True).run('numbers', [], 1)\n"
+    )
+    row = {"case": "first", "default": 0.5, "device": "CPU", "cores": 2, "versions": {}}
+    stand_in, out = tmp_path / "slow", tmp_path / "out"
+    text = json.dumps(row | {"small": True})
+    stand_in.write_text(f"#!/bin/sh\necho '{text}'\nexec sleep 60\n")
+    stand_in.chmod(0o755)
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(stand_in), str(out)],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+    ) as process:
+        while not gpu_page.read_rows(out / "numbers.jsonl"):
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.05)
+        process.send_signal(number)
+        process.communicate(timeout=30)
+    assert process.returncode != 0
+    assert gpu_page.read_rows(out / "numbers.jsonl") == [row | {"small": True}]
+    assert "| first | 5.0e-01 |" in (out / "suite.md").read_text()
+
+
 def test_gpu_suite_unknown_measurement_is_refused(tmp_path, capsys):
     assert main([*MINUTE, f"out={tmp_path / 'out'}", "steps=overlop"]) == 2
     assert "did you mean overlap" in capsys.readouterr().err
@@ -122,7 +176,9 @@ def test_train_together_side_by_side_runs_start_at_once_and_write_to_files(tmp_p
 def test_Suite_train_rounds_share_the_time_and_a_failed_run_is_named(tmp_path, monkeypatch):
     asked = []
 
-    def train(pairs, out, seconds, alone):
+    def train(pairs, out, seconds, alone, patience, meanwhile):
+        assert patience <= 30
+        meanwhile()
         asked.append(([algo for _, algo in pairs], round(seconds), alone))
         return [int(algo == "rnd") for _, algo in pairs]
 
@@ -130,11 +186,12 @@ def test_Suite_train_rounds_share_the_time_and_a_failed_run_is_named(tmp_path, m
     monkeypatch.setattr(gpu_suite, "write_report", lambda *_, **__: None)
     pairs = [("Venture", algo) for algo in ("ppo", "rnd", "icm")]
     suite = gpu_suite.Suite(tmp_path / "out", tmp_path / "runs", 4, cpu=True)
+    suite.out.mkdir()
     with pytest.raises(Exception, match="these runs failed: Venture rnd \\(status 1\\)"):
         suite.train(pairs, 2)
-    assert asked == [(["ppo", "rnd"], 120, False), (["icm"], 120, False)]
+    assert asked == [(["ppo", "rnd"], 96, False), (["icm"], 96, False)]  # 24 s to stop
     asked.clear()
     gpu_suite.Suite(tmp_path / "out", tmp_path / "runs", 1, cpu=True).train(
         pairs[:1] + pairs[2:], 1
     )
-    assert asked == [(["ppo"], 60, True)]  # a minute is too short for two rounds
+    assert asked == [(["ppo"], 54, True)]  # a minute is too short for two rounds

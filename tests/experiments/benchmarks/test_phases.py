@@ -31,6 +31,7 @@ def quick(monkeypatch):
             marks=pytest.mark.exhaustive,
         ),
         ["env=Coinrun", "network=small", "algo=ppo"],
+        ["env=gymnasium", "env.id=CartPole-v1", "algo=snd_vic", MODULE, "overlap=1", "--whole"],
     ],
 )
 def test_bench_last_line_is_json_with_consistent_figures(command, quick, capfd):
@@ -38,7 +39,8 @@ def test_bench_last_line_is_json_with_consistent_figures(command, quick, capfd):
     lines = capfd.readouterr().out.splitlines()
     found = json.loads(lines[-1])
     phases = found["seconds_per_1000_steps"]
-    collecting = {"environment", "acting"} if "Coinrun" in command[0] else {"collecting"}
+    apart = command[0] in ("env=Coinrun", "env=gymnasium")
+    collecting = {"environment", "acting"} if apart else {"collecting"}
     assert set(phases) == collecting | {"rewards", "policy", "motivation"}
     assert phases["policy"] > 0
     assert (phases["motivation"] > 0) == ("algo=ppo" not in command)
@@ -53,6 +55,7 @@ def test_bench_last_line_is_json_with_consistent_figures(command, quick, capfd):
         assert found["phases_over_whole"] == pytest.approx(
             found["whole_steps_per_second"] / found["steps_per_second"]
         )
+    assert ("of_the_slower" in found) == ("overlap=1" in command)
 
 
 def test_bench_without_analytic_flops_prints_none(quick, capfd):

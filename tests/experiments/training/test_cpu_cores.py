@@ -29,5 +29,5 @@ def test_place_on_cores_wide_networks_of_one_agent_stay_on_one_device(
 ):
     monkeypatch.setattr(jax, "device_count", lambda: 2)
     config = load_config(["env=MountainCar", "algo=rnd", "cores=2", *options])
-    made = place_on_cores(config, POOL)
+    made = place_on_cores(config, POOL, SINGLE_DEVICE)
     assert isinstance(made, CpuCores) if divided else made is SINGLE_DEVICE

@@ -142,13 +142,14 @@ def test_HostIterations_overlap_collects_while_a_learner_is_slow_to_start():
         assert began < collected < started
 
 
-def test_HostIterations_error_of_the_learner_is_raised_and_not_what_follows_from_it():
-    class Broken(WholeLearner):
+@pytest.mark.parametrize(("base", "options"), [(WholeLearner, ["overlap=1"]), (SlicedLearner, [])])
+def test_HostIterations_error_of_the_learner_is_raised_and_not_what_follows_from_it(base, options):
+    class Broken(base):
         def begin(self, train, batch):
             raise ValueError("the first")
 
     with pytest.raises(ValueError, match="the first"):
-        run_iterations([*CART, "overlap=1"], 2, Broken)
+        run_iterations([*CART, *options], 2, Broken)
 
 
 def test_make_iterations_overlap_learns_what_a_loop_one_policy_behind_learns():

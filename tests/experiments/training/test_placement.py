@@ -156,6 +156,7 @@ print([getattr(d, "id", None) for d in learning], getattr(found.acting.device, "
         (1, ["overlap=1"], "[None] None"),
         (2, ["overlap=1"], "[0] 1"),
         (3, ["overlap=1"], "[0, 1] 2"),
+        (4, ["overlap=1", "num_envs=32"], "[0, 1] 3"),  # three cannot share 32 environments
         (2, [], "[0, 1] None"),
         (2, ["overlap=1", "env.suite=gymnax"], "[0, 1] None"),  # one program does both
     ],
@@ -179,3 +180,21 @@ def test_run_overlap_on_a_device_of_its_own_equals_overlap_on_one(tmp_path):
         finish(start(tmp_path / name, devices, *PLAIN, "overlap=1"))
     assert_same(tmp_path / "two", tmp_path / "one")
     assert_same(tmp_path / "three", tmp_path / "one")
+
+
+def test_run_overlap_of_frames_collected_on_a_device_of_its_own_equals_one_device(tmp_path):
+    game = ["env=gymnasium", "env.id=examples.own_environment:Corridor-v0", "algo=rnd"]
+    game += ["env.options.image=true", "network=small", "num_envs=4", "rollout_length=16"]
+    game += ["ppo.minibatch_size=32", "algo.minibatch_size=32", "overlap=1", "total_steps=256"]
+    for name, devices in (("one", 1), ("two", 2)):
+        flags = f"--xla_force_host_platform_device_count={devices}"
+        done = subprocess.run(
+            [sys.executable, "-m", "experiments.run", *game, f"run_dir={tmp_path / name}"],
+            env=os.environ | {"PYTHONPATH": str(ROOT), "XLA_FLAGS": flags},
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        assert ("gains nothing" in done.stdout) == (devices == 1)
+    assert log(tmp_path / "one") == log(tmp_path / "two")

@@ -7,6 +7,7 @@ import pytest
 import sndjax
 from experiments.config.compose import load_config
 from experiments.training.experiment import build_experiment
+from experiments.training.placement import SINGLE_DEVICE
 from experiments.training.rollouts import Collector
 from experiments.training.scan_collector import ScanCollector
 
@@ -18,9 +19,7 @@ def collectors(config):
     """Return both collectors, each with environments of its own, and an actor."""
     experiment, other = build_experiment(config), build_experiment(config)
     state = experiment.init_states()
-    host = Collector(
-        other.pools, other.act, config.env.stack, config.rollout_length, experiment.agent.network
-    )
+    host = Collector(other.pools, other.agent, config, SINGLE_DEVICE)
     actor = sndjax.Actor(state.policy, state.observations, state.key)
     return experiment.make_collector(), host, actor
 
