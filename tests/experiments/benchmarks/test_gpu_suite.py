@@ -44,10 +44,6 @@ def test_gpu_suite_a_minute_on_a_cpu_measures_trains_and_writes_the_page(tmp_pat
     assert rows[-1]["steps_per_second"] > 0
     assert f"| MountainCar sp_vinv | {rows[-1]['step']:,} |" in page
     assert (runs / "report" / "index.html").is_file()
-    # The same command finds the run again, whether it was whole or not.
-    again = [one for one in MINUTE if "minutes" not in one]
-    assert main([*again, *places, "steps=none", "minutes=0.5"]) == 0
-    assert gpu_page.read_rows(out / "run-MountainCar-sp_vinv.jsonl")[: len(rows)] == rows
 
 
 def test_Suite_measure_what_takes_too_long_is_stopped_and_its_rows_stay(tmp_path, monkeypatch):
@@ -117,7 +113,9 @@ def test_relative_difference_what_is_not_finite_is_infinitely_far():
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_Suite_run_cut_off_keeps_every_row_that_came(number, tmp_path):
     code = (
-        "import sys; from pathlib import Path\n"
+        "import signal, sys; from pathlib import Path\n"
+        # A shell's background job ignores it, and so would this process.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from experiments.benchmarks.gpu_suite import Suite\n"
         "sys.executable = sys.argv[1]\n"
         "Suite(Path(sys.argv[2]), Path('runs'), 9, cpu=True).run('numbers', [], 1)\n"

@@ -9,7 +9,7 @@ from helpers.processes import ROOT
 
 SLOW = ["env=gymnasium", "env.id=examples.slow_environment:Slow-v0", "algo=snd_vic"]
 SLOW += ["env.options.seconds=0.01", "network=wide", "num_envs=4", "rollout_length=16"]
-SLOW += ["ppo.minibatch_size=16", "algo.minibatch_size=16", "ppo.epochs=60"]
+SLOW += ["ppo.minibatch_size=16", "algo.minibatch_size=16", "ppo.epochs=45"]
 
 
 def measured(*arguments):
@@ -24,10 +24,10 @@ def measured(*arguments):
 
 def test_bench_overlap_of_an_environment_that_sleeps_has_the_rate_of_the_slower_part():
     tries = []
-    for _ in range(3):  # other work on this machine may disturb one measurement
+    for _ in range(5):  # other work on this machine may disturb one measurement
         found = measured("overlap=1")
         parts = [found[f"{part}_alone_seconds"] for part in ("collecting", "learning")]
-        assert min(parts) > 0.2 * max(parts)  # in turn they would take clearly longer
+        assert min(parts) > 0.25 * max(parts)  # in turn they would reach 0.8
         tries.append(found["of_the_slower"])
         if tries[-1] >= 0.9:
             break

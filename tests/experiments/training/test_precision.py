@@ -50,10 +50,10 @@ def test_at_precision_two_functions_traced_late_keep_their_own():
     assert set(PRECISIONS) == {"float32", "tf32", "bf16"}
 
 
-@pytest.mark.parametrize("precision", ["bf16", "tf32"])
+@pytest.mark.parametrize("precision", ["bf16", pytest.param("tf32", marks=pytest.mark.exhaustive)])
 def test_run_mountaincar_at_fewer_bits_learns_the_task(precision, tmp_path):
-    """Repeat seed 0 of the table in docs/overlap.md."""
+    """Repeat most of seed 0 of the table in docs/overlap.md."""
     arguments = ["env=MountainCar", "algo=snd_vic", "algo.eta=10", f"precision={precision}"]
     path = tmp_path / "run"
-    assert main([*arguments, "total_steps=1_003_520", f"run_dir={path}"]) == 0
+    assert main([*arguments, "total_steps=720_896", f"run_dir={path}"]) == 0
     assert lines(path)[-1]["last100_ext_return"] > 0.5
