@@ -16,6 +16,11 @@ VENTURE += ["ppo.minibatch_size=64", "algo.minibatch_size=64"]
     ("arguments", "iterations"),
     [
         ([*CAR, "algo=snd_vic", "total_steps=4096"], 32),
+        pytest.param(
+            [*CAR, "algo=snd_vic", "total_steps=4096", "overlap=1"],
+            32,
+            marks=pytest.mark.exhaustive,
+        ),
         pytest.param([*VENTURE, "total_steps=256"], 2, marks=pytest.mark.survival),
     ],
 )
