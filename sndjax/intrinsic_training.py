@@ -18,7 +18,7 @@ from sndjax.optimizer_steps import (
 from sndjax.passes import Pass, run_pass
 from sndjax.rollout import gather_rows, slice_transitions
 from sndjax.scaling import RewardScale, scale_reward
-from sndjax.types import Metrics, Params, ReturnStatistics, Rollout, State
+from sndjax.types import Metrics, Params, ReturnStatistics, Rollout, State, TrainState
 
 
 class IntrinsicConfig(NamedTuple):
@@ -49,6 +49,11 @@ class IntrinsicTrainState(NamedTuple):
     intrinsic: Params
     intrinsic_optimizer: optax.OptState
     intrinsic_state: State
+
+
+def module_part(state: TrainState) -> IntrinsicTrainState:
+    """Return the part of a state that training the module changes."""
+    return IntrinsicTrainState(state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
 
 
 class IntrinsicRewards(NamedTuple):

@@ -55,8 +55,7 @@ def rounded_product(left: Array, right: Array, dimensions: Any, bits: int) -> Ar
       dimensions: see `lax.dot_general`.
       bits: of the mantissa.
     """
-    operands = round_mantissa(left, bits), round_mantissa(right, bits)
-    return lax.dot_general(*operands, dimensions)
+    return rounded_product_forward(left, right, dimensions, bits)[0]
 
 
 def rounded_product_forward(

@@ -11,7 +11,7 @@ import jax
 from jaxtyping import Array, Float, Int
 
 from sndjax.acting import AgentSpec
-from sndjax.intrinsic_training import IntrinsicTrainState
+from sndjax.intrinsic_training import IntrinsicTrainState, module_part
 from sndjax.optimizer_steps import mean_metrics
 from sndjax.passes import Pass, PassState, run_slice, start_pass
 from sndjax.train import LearningStart, begin_learning, finish_learning
@@ -70,8 +70,7 @@ def make_sliced_step(agent: AgentSpec) -> SlicedStep:
     def begin(state: TrainState, batch: Experience) -> tuple[SlicedLearning, PassState, PassState]:
         start = begin_learning(agent, state, batch)
         state, whole = start.state, of_policy(start)
-        kept = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
-        module, inputs = PassState(IntrinsicTrainState(*kept), {}), None
+        module, inputs = PassState(module_part(state), {}), None
         if jax.tree.leaves(state.intrinsic):
             trained = of_module(start)
             module, inputs = start_pass(trained), trained.inputs

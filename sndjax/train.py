@@ -12,7 +12,12 @@ from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from sndjax import ppo
 from sndjax.acting import AgentSpec, scale_observations
-from sndjax.intrinsic_training import IntrinsicTrainState, read_rewards, reward_metrics
+from sndjax.intrinsic_training import (
+    IntrinsicTrainState,
+    module_part,
+    read_rewards,
+    reward_metrics,
+)
 from sndjax.networks import match_dtype
 from sndjax.optimizer_steps import ShardRows, identity
 from sndjax.rollout import (
@@ -108,7 +113,7 @@ def compute_intrinsic_rewards(
         return state, none, reward_metrics(none, none, none, rollout.valid)
     read = read_rewards(
         intrinsic,
-        IntrinsicTrainState(state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state),
+        module_part(state),
         state.reward_scale,
         rollout,
         agent.ppo.gamma_int,

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from sndjax import ppo
 from sndjax.acting import AgentSpec, forward, unroll
-from sndjax.intrinsic_training import IntrinsicTrainState, module_pass
+from sndjax.intrinsic_training import IntrinsicTrainState, module_part, module_pass
 from sndjax.optimizer_steps import (
     ShardRows,
     annealed_rate,
@@ -183,7 +183,6 @@ def intrinsic_pass(
     """
     intrinsic, rollout = agent.intrinsic, batch.rollout
     assert intrinsic is not None
-    start = IntrinsicTrainState(state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
     key_order, key_loss = jax.random.split(key)
     rows = jnp.arange(rollout.action.size)
     later = jax.random.split(jax.random.fold_in(key, 2), intrinsic.epochs - 1)
@@ -193,7 +192,9 @@ def intrinsic_pass(
     # In order, s_t+1 of most rows is s_t of others; in less than a step of rows, of none.
     apart = intrinsic.shuffle or intrinsic.minibatch_size < rollout.action.shape[1]
     rate = annealed_rate(intrinsic.anneal_iterations, state.iteration)
-    return module_pass(intrinsic, start, rollout, index, key_loss, apart, shard_rows, rate)
+    return module_pass(
+        intrinsic, module_part(state), rollout, index, key_loss, apart, shard_rows, rate
+    )
 
 
 def update_intrinsic_module(
@@ -216,7 +217,6 @@ def update_intrinsic_module(
       The new module, and the means of its metrics over minibatches.
     """
     if not jax.tree.leaves(state.intrinsic):
-        kept = (state.intrinsic, state.intrinsic_optimizer, state.intrinsic_state)
-        return IntrinsicTrainState(*kept), {}
+        return module_part(state), {}
     done = run_pass(intrinsic_pass(agent, state, batch, key, shard_rows))
     return done.carry, mean_metrics(done.metrics)

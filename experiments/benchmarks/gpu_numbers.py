@@ -161,7 +161,7 @@ def compare_numbers(toy: bool) -> Iterator[dict[str, Any]]:
         try:
             yield {"case": case.name} | compare_case(case)
         except Exception as error:  # the other cases are worth knowing
-            yield {"case": case.name, "error": str(error).splitlines()[0]}
+            yield {"case": case.name, "error": repr(error).splitlines()[0]}
 
 
 def compare_case(case: Case) -> dict[str, float]:

@@ -1,11 +1,11 @@
 """The page of what is known on a GPU, made from the files of the steps that were run."""
 
-import json
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from ..reporting.thesis_tables import format_published, thesis_numbers
+from ..storage.run_logs import read_lines
 from ..system.files import write_atomically
 from .gpu_steps import STEPS
 
@@ -14,28 +14,22 @@ GOAL = 0.75  # of the rate of random actions
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Return the whole rows of a step's file; [] if there is none."""
-    rows = []
-    for line in path.read_text().splitlines() if path.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            break
-    return rows
+    """Return the whole rows of a .jsonl file, not one that was cut off; [] if there is none."""
+    return list(read_lines(path, path.read_bytes().rfind(b"\n") + 1)) if path.exists() else []
 
 
 def number_table(rows: list[dict[str, Any]]) -> list[str]:
     """Return the table of differences from float32 on a CPU."""
     if not rows:
         return ["Not run."]
-    names = [name for name in rows[0] if isinstance(rows[0][name], float)]
+    figured = [name for row in rows for name, value in row.items() if isinstance(value, float)]
+    names = list(dict.fromkeys(figured))
     lines = [f"| max abs difference / max abs value | {' | '.join(names)} |"]
     lines.append("|---|" + "---|" * len(names))
     for row in rows:
         figures = " | ".join(f"{row[name]:.1e}" if name in row else "" for name in names)
-        if "error" in row:
-            figures = f"failed: {row['error']} |" + " |" * (len(names) - 2)
-        lines.append(f"| {row['case']} | {figures} |")
+        failed = f" (failed: {row['error']})" if "error" in row else ""
+        lines.append(f"| {row['case']}{failed} | {figures} |")
     return lines
 
 

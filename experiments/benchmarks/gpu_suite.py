@@ -25,8 +25,7 @@ from ..system.versions import versions
 from .gpu_page import PAGE, read_rows, write_page
 from .gpu_steps import STEPS
 
-PATIENCE = 600.0  # seconds that a run may take from the signal to its checkpoint
-STOP_SECONDS = 30.0  # of them, in the suite
+STOP_SECONDS = 30.0  # that runs may take from the signal to their checkpoints
 LOOK_SECONDS = 10.0  # between two looks at the logs of runs
 LEAST_MEASURE = 20.0  # seconds that a measurement gets, however short the suite is
 LEAST_SECONDS = 90  # of a round of runs: half of it is compilation
@@ -63,7 +62,7 @@ def train_together(
     out: Path,
     seconds: float,
     alone: bool,
-    patience: float = PATIENCE,
+    patience: float = STOP_SECONDS,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> list[int]:
     """Start or resume runs side by side for some seconds, and return their exit statuses.
@@ -209,7 +208,7 @@ class Suite:
           name: of the step.
           seconds: after which it is stopped.
         """
-        rows, said, path = 0, "", self.out / f"{name}.jsonl"
+        rows, path = 0, self.out / f"{name}.jsonl"
         end = time.monotonic() + seconds
         with tempfile.TemporaryFile() as errors:
             child = start_command(

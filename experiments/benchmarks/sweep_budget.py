@@ -92,7 +92,7 @@ class Rates(NamedTuple):
 
     @property
     def slowest_gpu(self) -> float:
-        """The rate of algorithms that were not measured on a GPU."""
+        """Return the rate of algorithms that were not measured on a GPU."""
         return min(self.gpu.values(), default=self.pool)
 
 

@@ -131,18 +131,15 @@ def make_recorder(agent: sndjax.AgentSpec, config: Config, axis: str | None = No
     return Recorder(open_record, act, join)
 
 
-def first_memory(agent: sndjax.AgentSpec, config: Config, envs: int, frame: Any) -> Any:
+def first_memory(agent: sndjax.AgentSpec, frame: Any) -> Any:
     """Return what the policies of all seeds remember before any frame, in host memory.
 
     Args:
       agent: what acts.
-      config: of the run, for its seeds.
-      envs: n, the number of environments.
       frame: the first frames, [S, n, *frame], for their shape and dtype.
     """
-    window = np.zeros((config.num_seeds, agent.stack.size, *frame.shape[1:]), frame.dtype)
-    hidden = init_hidden(agent.network, config.num_seeds, envs)
-    return sndjax.ActorMemory(window, hidden)  # type: ignore[arg-type]
+    window = np.zeros((frame.shape[0], agent.stack.size, *frame.shape[1:]), frame.dtype)
+    return sndjax.ActorMemory(window, init_hidden(agent.network, *frame.shape[:2]))  # type: ignore[arg-type]
 
 
 def init_hidden(network: sndjax.ActorCritic, seeds: int, envs: int) -> Any:

@@ -131,7 +131,7 @@ class Collector:
                 envs=slice(k * size, (k + 1) * size),
                 frame=frame,
                 first=np.ones((seeds, size), bool),
-                memory=acting.put_memory(first_memory(agent, config, size, frame)),
+                memory=acting.put_memory(first_memory(agent, frame)),
             )
             self.pool_states.append(state)
 

@@ -103,6 +103,14 @@ def test_write_page_rows_of_another_device_are_left_out(tmp_path):
     assert "met." not in page
 
 
+def test_number_table_a_case_that_failed_first_leaves_the_others():
+    rows = [{"case": "a", "error": "no memory"}, {"case": "b", "default": 0.5, "cores": 2}]
+    head, _, first, second = gpu_page.number_table(rows)
+    assert head.endswith("| default |")
+    assert first == "| a (failed: no memory) |  |"
+    assert second == "| b | 5.0e-01 |"
+
+
 def test_relative_difference_what_is_not_finite_is_infinitely_far():
     one = {"a": 1.0, "b": 2.0}
     assert relative_difference({"a": 1.0, "b": 2.2}, one) == pytest.approx(0.1)

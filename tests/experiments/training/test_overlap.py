@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.agents import equal
 from helpers.processes import lines, start
 
 import sndjax
@@ -33,14 +34,6 @@ TASKS = {
     "jax": ["env=gymnax", "env.id=CartPole-v1", "algo=rnd", *SIZES],
     "baseline": ["env=gymnasium", "env.id=CartPole-v1", "algo=ppo", *SIZES[:4], "num_seeds=2"],
 }
-
-
-def same_bits(one, other):
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
-            a, b = jax.random.key_data(a), jax.random.key_data(b)
-        np.testing.assert_array_equal(a, b)
 
 
 def run_iterations(arguments, count, learner=None):
@@ -94,13 +87,13 @@ def test_HostIterations_overlap_learns_what_a_loop_one_policy_behind_learns(task
     arguments = [*TASKS[task], "overlap=1"]
     state, results = run_iterations(arguments, 5, learner)
     train, rewards, dones = loop(arguments, 5, overlap=True)
-    same_bits(state.train, train)
+    equal(state.train, train, rtol=0)
     np.testing.assert_array_equal([r.int_reward for r in results], rewards)
     np.testing.assert_array_equal([r.info.game_over for r in results], dones)
     assert [r.metrics["policy_lag"] for r in results] == [[0, 0], *4 * [[1, 1]]]
     plain, _, _ = loop(TASKS[task], 5, overlap=False)
     with pytest.raises(AssertionError):  # the policies of an iteration ago do other things
-        same_bits(plain.policy, train.policy)
+        equal(plain.policy, train.policy, rtol=0)
 
 
 def test_HostIterations_module_beside_the_next_rollout_equals_one_after_the_other():
@@ -114,7 +107,7 @@ def test_HostIterations_module_beside_the_next_rollout_equals_one_after_the_othe
 
     state, results = run_iterations(CART, 4, Watched)
     train, rewards, dones = loop(CART, 4, overlap=False)
-    same_bits(state.train, train)
+    equal(state.train, train, rtol=0)
     np.testing.assert_array_equal([r.int_reward for r in results], rewards)
     np.testing.assert_array_equal([r.info.game_over for r in results], dones)
     # Two steps of the module's optimizer in each rollout but the first, at different times.
@@ -166,7 +159,7 @@ def test_make_iterations_overlap_learns_what_a_loop_one_policy_behind_learns():
     program = jax.jit(make_iterations(experiment, 4))
     state, rows, _ = program(experiment.init_run(), jnp.int32(4))
     train, rewards, dones = loop(arguments, 4, overlap=True)
-    same_bits(state.train, train)
+    equal(state.train, train, rtol=0)
     np.testing.assert_array_equal(rows.int_reward, rewards)
     np.testing.assert_array_equal(rows.done, dones)
     np.testing.assert_array_equal(rows.metrics["policy_lag"], [[0, 0], *3 * [[1, 1]]])

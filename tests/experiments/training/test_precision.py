@@ -25,7 +25,7 @@ def test_build_experiment_precision_is_that_of_acting_and_learning(precision, bi
     batch, _ = collector.collect(actor)
     learned = str(jax.make_jaxpr(experiment.make_train_step())(train, batch))
     recorder, state = make_recorder(experiment.agent, config), collector.pool_states[0]
-    memory = first_memory(experiment.agent, config, 4, state.frame)
+    memory = first_memory(experiment.agent, state.frame)
     opening = jax.tree.map(jax.numpy.asarray, (memory, state.frame, state.first))
     record, _ = recorder.open(*opening)
     acted = str(jax.make_jaxpr(recorder.act)(actor, record, *opening[1:], 0, 0))
