@@ -22,6 +22,14 @@ from sndjax.rollout import push_frame
 from sndjax.types import Experience, Rollout
 
 
+class Visits(NamedTuple):
+    """What N environments have seen of their world so far, all episodes together."""
+
+    visited: Bool[Array, " P"]  # the places that a state was in
+    progress: Float[Array, ""]  # the sum of the episodes' progress at their ends
+    episodes: Int[Array, ""]  # that ended
+
+
 class LiveEnvironments(NamedTuple):
     """N environments between two steps."""
 
@@ -31,6 +39,7 @@ class LiveEnvironments(NamedTuple):
     ended: Bool[Array, " N"]  # it closes one: the next step resets the environment
     window: Shaped[Array, "S N *frame"]  # the stack before this frame
     hidden: Hidden = None  # of a recurrent policy
+    visits: Visits | None = None  # of environments with `place`
 
     @property
     def memory(self) -> ActorMemory:
@@ -97,6 +106,41 @@ def init_with_keys(env: JaxEnvironment, keys: Keys, stack: int = 1) -> LiveEnvir
         first=jnp.ones(num_envs, bool),
         ended=jnp.zeros(num_envs, bool),
         window=jnp.zeros((stack, *frame.shape), frame.dtype),
+        visits=init_visits(env, state),
+    )
+
+
+def init_visits(env: JaxEnvironment, state: Any) -> Visits | None:
+    """Return the visits of N environments after their first resets; None without `place`.
+
+    Args:
+      env: the environment.
+      state: of each, leaves [N, ...].
+    """
+    if env.place is None:
+        return None
+    visited = jnp.zeros(env.num_places, bool).at[jax.vmap(env.place)(state)].set(True)
+    return Visits(visited, jnp.zeros((), jnp.float32), jnp.zeros((), jnp.int32))
+
+
+def update_visits(
+    env: JaxEnvironment, visits: Visits | None, state: Any, done: Bool[Array, " N"]
+) -> Visits | None:
+    """Return the visits with the states after a step.
+
+    Args:
+      env: the environment.
+      visits: before.
+      state: of each environment after the step, leaves [N, ...].
+      done: which episodes ended with it.
+    """
+    if visits is None or env.place is None:
+        return None
+    progress = jax.vmap(env.progress)(state) if env.progress else jnp.zeros(done.shape)
+    return Visits(
+        visited=visits.visited.at[jax.vmap(env.place)(state)].set(True),
+        progress=visits.progress + jnp.where(done, progress, 0).sum().astype(jnp.float32),
+        episodes=visits.episodes + done.sum(dtype=jnp.int32),
     )
 
 
@@ -134,7 +178,8 @@ def step_with_keys(
     state, frame, reward, terminated, truncated = jax.vmap(env.step)(keys, live.state, action)
     state, frame = reset_ended(env, live.ended, keys, (state, frame))
     row = make_row(live, reward, terminated, truncated)
-    after = live._replace(state=state, frame=frame, first=live.ended, ended=row.done)
+    visits = update_visits(env, live.visits, state, row.done)
+    after = live._replace(state=state, frame=frame, first=live.ended, ended=row.done, visits=visits)
     return row, after
 
 

@@ -30,6 +30,11 @@ class JaxEnvironment(NamedTuple):
       categories: for observations whose integers are categories, their number in each component
         (an array that broadcasts to the observation's shape); else None.
       draw: state -> image uint8[H, W, 3], called outside `jax.jit`; None: it cannot be drawn.
+      place: state -> int32, the number of the place that a state is in, of which the visited ones
+        are counted (`LiveEnvironments.visits`); None: they are not.
+      num_places: P, the places are 0 to P - 1.
+      progress: state -> float32, how far an episode has come; summed where episodes end. Read only
+        with `place`; None: 0.
     """
 
     reset: EnvironmentReset
@@ -39,6 +44,9 @@ class JaxEnvironment(NamedTuple):
     high: Any = jnp.inf
     categories: Any = None
     draw: Callable[[Any], Any] | None = None
+    place: Callable[[Any], Any] | None = None
+    num_places: int = 0
+    progress: Callable[[Any], Any] | None = None
 
 
 def check_environment(env: JaxEnvironment) -> None:

@@ -22,7 +22,7 @@ def scale_reward(
     valid: Bool[Array, "T N"],
     scale: ReturnStatistics,
     mode: RewardScale,
-    eta: float,
+    eta: float | Float[Array, ""],
     discount: float,
 ) -> tuple[Float[Array, "T N"], Float[Array, "T N"], ReturnStatistics]:
     """Compute the intrinsic reward of a signal.

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sndjax
-from experiments.training.agents import init_states
+from experiments.training.agents import make_init_states
 from experiments.training.seeds import map_over_seeds
 from sndjax import ppo
 from sndjax.updates import update_intrinsic_module
@@ -131,7 +131,7 @@ def test_train_step_frame_between_two_reset_rows_is_never_read():
 def test_map_over_seeds_two_seeds_equal_each_seed_by_itself(name, kind):
     agent, _, _ = made(name, kind)
     seeds = [5, 6]
-    states = init_states(agent, seeds, example(kind))
+    states = make_init_states(agent)(seeds, example(kind))
     batches = [batch_for(kind, seed, heads(name)) for seed in range(2)]
     train_step = sndjax.make_train_step(agent)
     together = jax.jit(map_over_seeds(train_step, 2))(

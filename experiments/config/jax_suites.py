@@ -25,6 +25,7 @@ JAX_SUITES = {
     "navix": JaxSuite("navix", "Navix-DoorKey-8x8-v0", "; navix 4 needs Python 3.12 or newer"),
     "craftax": JaxSuite("craftax", "Craftax-Classic-Symbolic-v1"),
     "xminigrid": JaxSuite("xminigrid", "MiniGrid-DoorKey-8x8"),
+    "levels": JaxSuite("minigrid", "MiniGrid-DoorKey-16x16-v0"),
     "jax": JaxSuite(None, "my_file.py:make"),
 }
 

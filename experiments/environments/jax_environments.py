@@ -69,6 +69,9 @@ def make_gymnax(name: str, options: Options) -> sndjax.JaxEnvironment:
 
     grid = len(env.observation_space(params).shape) in (2, 3)
     made = spaces_of(env, params, reset, step)
+    if name == "DeepSea-bsuite":  # an episode ends below the last row
+        cell: Callable[[Any], Any] = lambda state: state.row * env.size + state.column
+        made = made._replace(place=cell, num_places=(env.size + 1) * env.size)
     return made._replace(draw=lambda state: draw_grid(env.get_obs(state))) if grid else made
 
 
@@ -192,6 +195,13 @@ def make_navix(name: str, options: Options) -> sndjax.JaxEnvironment:
     return made._replace(categories=MINIGRID_KINDS if len(shape) == 3 else MINIGRID_KINDS[0])
 
 
+def make_minigrid_level(name: str, options: Options) -> sndjax.JaxEnvironment:
+    """Make a level of minigrid that is the same in every episode; see `make_level`."""
+    from .levels.level_environment import make_level
+
+    return make_level(name, **options)
+
+
 def make_own(reference: str, options: Options) -> sndjax.JaxEnvironment:
     """Make the user's environment: FILE.py:FUNCTION, called with the options.
 
@@ -212,6 +222,7 @@ MAKERS: dict[str, Callable[[str, Options], sndjax.JaxEnvironment]] = {
     "craftax": make_craftax,
     "xminigrid": make_xminigrid,
     "navix": make_navix,
+    "levels": make_minigrid_level,
     "jax": make_own,
 }
 

@@ -128,6 +128,31 @@ def mean_improvement(
     return value, (float(low), float(high))
 
 
+def pooled_interquartile_mean(
+    tasks: Sequence[np.ndarray],
+) -> tuple[float, tuple[float, float] | None]:
+    """Return the interquartile mean of the runs of all tasks, with its 95% bootstrap interval.
+
+    The bootstrap resamples the runs within each task (Agarwal et al., 2021).
+
+    Args:
+      tasks: the results of each task's runs, at least one run each.
+
+    Returns:
+      The mean, and its interval; None in its place if a task has only one run.
+
+    >>> pooled_interquartile_mean([np.zeros(4), np.ones(4)])
+    (0.5, (0.5, 0.5))
+    """
+    value = float(interquartile_mean(np.concatenate(tasks)))
+    if min(map(len, tasks)) < 2:
+        return value, None
+    random = np.random.default_rng(0)
+    drawn = [task[random.integers(0, len(task), (RESAMPLES, len(task)))] for task in tasks]
+    low, high = percentile_interval(interquartile_mean(np.concatenate(drawn, axis=1), axis=1))
+    return value, (float(low), float(high))
+
+
 def exponential_smoothing(values: np.ndarray, weight: float = 0.99) -> np.ndarray:
     """Smooth values as in the thesis: y_k = weight * y_k-1 + (1 - weight) * x_k, with y_0 = x_0.
 

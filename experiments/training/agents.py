@@ -121,8 +121,8 @@ def make_encode(agent: sndjax.AgentSpec) -> Callable[..., Any] | None:
     return encode
 
 
-def init_states(agent: sndjax.AgentSpec, seeds: list[int], example: Any) -> sndjax.TrainState:
-    """Return the state of every seed before its first iteration, leaves [S, ...].
+def make_init_states(agent: sndjax.AgentSpec) -> Callable[[list[int], Any], sndjax.TrainState]:
+    """Return a function that makes the state of every seed before its first iteration.
 
     The seeds are initialized one after another: under vmap the orthogonal initialization becomes
     a batched QR decomposition, and two of these at once deadlock jaxlib 0.10.2 on a CPU with two
@@ -130,12 +130,17 @@ def init_states(agent: sndjax.AgentSpec, seeds: list[int], example: Any) -> sndj
 
     Args:
       agent: the agent.
-      seeds: the seed of each state.
-      example: frames [N, *frame], for their shape and dtype.
+
+    Returns:
+      (the seed of each state, frames [N, *frame] for their shape and dtype) -> leaves [S, ...].
     """
     init = jax.jit(partial(sndjax.init_train_state, agent))
-    states = [init(jax.random.key(seed), example) for seed in seeds]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+    def init_states(seeds: list[int], example: Any) -> sndjax.TrainState:
+        states = [init(jax.random.key(seed), example) for seed in seeds]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+    return init_states
 
 
 def make_seed_train_step(

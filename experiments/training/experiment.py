@@ -17,7 +17,7 @@ from ..environments.pool import Pool
 from ..environments.pools import EnvpoolPool, make_pools
 from ..system.errors import ConfigError
 from ..system.process import available_memory
-from .agents import build_agent, init_states, make_seeds_train_step
+from .agents import build_agent, make_init_states, make_seeds_train_step
 from .cpu_cores import place_on_cores
 from .placement import SINGLE_DEVICE, SingleDevice
 from .policy_lag import first_actor
@@ -71,7 +71,7 @@ class Experiment(NamedTuple):
 
     def init_states(self) -> sndjax.TrainState:
         """Return the state of every seed before its first iteration, leaves [S, ...]."""
-        return init_states(self.agent, self.config.seeds, self.example)
+        return make_init_states(self.agent)(self.config.seeds, self.example)
 
     def init_run(self) -> RunState:
         """Return everything that the run changes, before its first iteration."""

@@ -10,6 +10,7 @@ import numpy as np
 from jax import lax
 
 import sndjax
+from sndjax.collecting import Visits
 
 from .agents import make_seed_train_step
 from .experiment import Experiment, RunState
@@ -35,6 +36,23 @@ class Row(NamedTuple):
     int_reward: Any
 
 
+def visit_metrics(visits: Visits | None) -> dict[str, Any]:
+    """Return the metrics of what environments have seen so far; none without places.
+
+    `coverage` is the number of distinct places, `progress` the mean over all episodes that ended, 0
+    before the first one.
+
+    Args:
+      visits: see `sndjax.JaxEnvironment.place`.
+    """
+    if visits is None:
+        return {}
+    return {
+        "coverage": visits.visited.sum(),
+        "progress": visits.progress / jnp.maximum(visits.episodes, 1),
+    }
+
+
 def make_iteration(experiment: Experiment) -> Callable[..., Any]:
     """Return an iteration of one seed, not jitted.
 
@@ -53,7 +71,7 @@ def make_iteration(experiment: Experiment) -> Callable[..., Any]:
         after = lagging_actor(train) if config.overlap else ()
         train, metrics, int_reward = train_step(train, batch)
         row = Row(
-            metrics=metrics | lag,
+            metrics=metrics | lag | visit_metrics(live.visits),
             valid=rollout.valid,
             done=rollout.done,
             reward=batch.reward,

@@ -8,7 +8,7 @@ from helpers.processes import ROOT
 
 ORDER = [
     "system", "config", "environments", "storage", "training", "reporting", "evaluation",
-    "analysis", "sweeps", "benchmarks",
+    "analysis", "sweeps", "benchmarks", "trials",
 ]  # fmt: skip
 LAB = ROOT / "experiments"
 ALIASES = {"benches", "chance", "evidence", "explores", "ledger", "lowerings", "peers"}

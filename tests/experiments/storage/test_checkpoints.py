@@ -13,7 +13,7 @@ from experiments.storage import array_trees
 from experiments.storage import checkpoints as checkpoint
 from experiments.storage.array_trees import CheckpointError
 from experiments.storage.checkpoints import Checkpoints, unwrap_keys
-from experiments.training.agents import init_states
+from experiments.training.agents import make_init_states
 from sndjax.algorithms import NAMED
 
 
@@ -23,7 +23,7 @@ def first_state(name, width=16):
     motivation = sndjax.IntrinsicConfig(make(3, size)) if make else None
     network = sndjax.ActorCritic(size, 3, 2 if make else 1)
     agent = sndjax.AgentSpec(network, sndjax.Hyperparameters(), motivation)
-    return init_states(agent, [0, 1], jnp.zeros((4, 2)))
+    return make_init_states(agent)([0, 1], jnp.zeros((4, 2)))
 
 
 def fits(manifest):

@@ -9,7 +9,7 @@ import sndjax
 from experiments.config.compose import load_config
 from experiments.environments.pools import make_pool, make_pools
 from experiments.system.errors import ConfigError
-from experiments.training.agents import build_agent, init_states
+from experiments.training.agents import build_agent, make_init_states
 from experiments.training.placement import SINGLE_DEVICE
 from experiments.training.rollouts import Collector
 from sndjax.rollout import make_frame_stacker
@@ -28,7 +28,7 @@ def test_Collector_collect_arrays_equal_those_of_environments_and_policy(groups)
     size = sndjax.ATARI._replace(channels=(4, 4, 4), last=4, rnd_channels=(4, 4, 4), features=8)
     agent = build_agent(config, pools[0])._replace(network=sndjax.ActorCritic(size, 18))
     example = jnp.zeros((4, 96, 96, 1), jnp.uint8)
-    state = init_states(agent, [0, 1], example)
+    state = make_init_states(agent)([0, 1], example)
     actor = sndjax.Actor(state.policy, state.observations, state.key)
     collector = Collector(pools, agent, config, SINGLE_DEVICE)
     started = []

@@ -1,0 +1,78 @@
+"""Run the trial of docs/results/trial.md: does a self-supervised encoder beat the random one?
+
+    sndjax trial                             every row that has no results in docs/results/trial yet
+    sndjax trial only=rooms/rnd,rooms/snd_vic          some of them
+    sndjax trial repeat=rooms/snd_vic seeds=3          the first seeds of a row, beside its results
+    sndjax trial page=true                   the page's tables and pictures, from the results
+
+A row is a method on a task: 32 settings are tried, then 30 seeds that were not looked at. Rows run
+side by side, one on each core, and a row that was stopped goes on after its search.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from .config.option import option
+from .config.tool_options import run_command
+from .system.errors import ConfigError
+from .system.process import run_script
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command."""
+
+    only: str | None = option(None, "the rows to run, TASK/METHOD by commas; default: all")
+    repeat: str | None = option(None, "a row whose seeds are run again, TASK/METHOD")
+    seeds: int = option(1, "with repeat, the number of seeds", low=1, high=1000)
+    page: bool = option(False, "only write the tables and pictures of the results")
+    out: str = option("docs/results/trial", "where the results are")
+    jobs: int | None = option(None, "rows at the same time; default: one on each core", low=1)
+    complete: str | None = option(None, "one row in this process, for the command itself")
+    core: int | None = option(None, "the core of that process", low=0)
+
+
+def trial(paths: list[Path], options: Options) -> None:
+    """Run what was asked for.
+
+    Raises:
+      ConfigError: a row is not known, or some rows failed.
+    """
+    if options.core is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {options.core})
+    from .trials.launcher import complete_rows, default_jobs, missing_rows
+    from .trials.protocol import read_protocol
+
+    protocol, out = read_protocol(), Path(options.out)
+    if options.complete is not None:
+        from .trials.rows import complete_row
+
+        complete_row(protocol, *protocol.find_row(options.complete), out)
+        return
+    if options.repeat is not None:
+        from .trials.repeat import repeat_row
+
+        repeat_row(protocol, *protocol.find_row(options.repeat), out, options.seeds)
+        return
+    if not options.page:
+        rows = missing_rows(protocol, out)
+        if options.only is not None:
+            wanted = [protocol.find_row(name.strip()) for name in options.only.split(",")]
+            rows = [row for row in wanted if row in rows]
+        print(f"{len(rows)} rows to run", flush=True)
+        failed = complete_rows(rows, out, options.jobs or default_jobs())
+        if failed:
+            raise ConfigError(f"{len(failed)} rows failed: {', '.join(failed)}")
+    from .trials.page import write_page
+
+    write_page(protocol, out)
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command, and return its exit status."""
+    return run_command(__doc__, Options, trial, arguments, paths="none")
+
+
+if __name__ == "__main__":
+    run_script(main)

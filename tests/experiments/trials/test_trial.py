@@ -1,0 +1,154 @@
+"""The trial: a population equals ordinary runs, and its search and its files say what was run."""
+
+import csv
+import json
+import os
+
+import numpy as np
+import pytest
+
+from experiments.config.compose import load_config
+from experiments.run import main as run_main
+from experiments.system.errors import ConfigError
+from experiments.trial import main
+from experiments.trials import tuning
+from experiments.trials.page import write_page
+from experiments.trials.population import Curve, Population
+from experiments.trials.protocol import read_protocol
+from experiments.trials.rows import bin_curve, complete_row, row_path
+from experiments.trials.tuning import draw_settings, score_curve, tune
+
+SMALL = ["env=levels", "env.id=MiniGrid-Empty-5x5-v0", "env.options.max_steps=20"]
+AGENT = ["num_envs=32", "rollout_length=16", "ppo.minibatch_size=128"]
+RUN = [*SMALL, *AGENT, "algo=snd_vic", "total_steps=4096"]
+
+
+def log_of(path):
+    """Return the lines of a run's log."""
+    return [json.loads(line) for line in (path / "metrics.jsonl").read_text().splitlines()]
+
+
+def test_population_agents_with_numbers_equal_ordinary_runs(tmp_path):
+    numbers = {"algo.eta": [0.5, 2.0], "algo.learning_rate": [1e-3, 1e-4]}
+    numbers |= {"ppo.entropy_weight": [0.01, 0.001], "ppo.learning_rate": [1e-3, 3e-3]}
+    found = Population(load_config([*RUN, "num_seeds=2"])).train([5, 9], numbers)
+    for i, seed in enumerate((5, 9)):
+        own = [f"{name}={values[i]}" for name, values in numbers.items()]
+        path = tmp_path / str(seed)
+        assert run_main([*RUN, *own, f"seed={seed}", f"run_dir={path}", "cores=1"]) == 0
+        lines = log_of(path)
+        assert len(lines) == 8
+        assert found.coverage[i].tolist() == [line["coverage"] for line in lines]
+        np.testing.assert_allclose(found.progress[i], [line["progress"] for line in lines], 1e-6)
+        np.testing.assert_array_equal(
+            found.episodes[i].cumsum(), [line["episodes"] for line in lines]
+        )
+        with (path / "episodes.csv").open() as file:
+            won = sum(float(row["score"]) > 0 for row in csv.DictReader(file))
+        assert found.solved[i].sum() == won
+    assert found.solved.sum() > 0
+
+
+def test_score_curve_counts_the_last_fifth_of_the_run():
+    episodes = np.array([[9, 9, 9, 9, 9, 9, 9, 9, 3, 5], [1] * 8 + [0, 0]])
+    solved = np.array([[0] * 8 + [1, 3], [1] * 8 + [0, 0]])
+    coverage = np.cumsum(np.ones((2, 10)), 1)
+    scores = score_curve(Curve(episodes, solved, coverage, coverage / 2))
+    assert scores.solved.tolist() == [4 / 8, 0.0]  # the second agent ended no episode there
+    assert scores.coverage.tolist() == [10, 10]
+    assert scores.progress.tolist() == [5, 5]
+
+
+def test_bin_curve_sums_episodes_and_reads_places_at_the_ends():
+    each = np.arange(40.0)[None]
+    found = bin_curve(Curve(each, each, each, each))
+    assert found["episodes"] == [[2 * i + 2 * i + 1 for i in range(20)]]
+    assert found["coverage"] == [[2 * i + 1 for i in range(20)]]
+
+
+def test_draw_settings_same_for_methods_of_the_same_ranges_and_within_them():
+    protocol = read_protocol()
+    drawn = {name: draw_settings(m, protocol.settings) for name, m in protocol.methods.items()}
+    assert drawn["rnd"] == drawn["snd_vic"] == drawn["icm"]
+    for name, settings in drawn.items():
+        method = protocol.methods[name]
+        assert len(settings) == 32
+        assert len({str(setting) for setting in settings}) == 32
+        for option, (low, high) in method.numbers.items():
+            values = np.log([setting.numbers[option] for setting in settings])
+            assert np.log(low) <= values.min() < np.log(low) + 0.1 * np.log(high / low)
+            assert np.log(high) >= values.max() > np.log(high) - 0.1 * np.log(high / low)
+        for option, choices in method.choices.items():
+            counts = [sum(s.choices[option] == choice for s in settings) for choice in choices]
+            assert len(set(counts)) == 1
+
+
+def test_tune_finds_the_best_by_solved_then_coverage(monkeypatch):
+    protocol = read_protocol()._replace(settings=8, finalists=3, tuning_seeds=[0, 1, 2])
+    method, task = protocol.methods["rnd"], next(iter(protocol.tasks.values()))
+    settings = draw_settings(method, 8)
+    solved = {0: [0.5, 0, 0], 1: [0.4, 0.4, 0.4], 2: [0.3, 0.5, 0.4], 3: [0.2, 1, 1]}
+    seen = []
+
+    def play(protocol, task, method, agents):
+        rows = []
+        for setting, seed in agents:
+            i = settings.index(setting)
+            seen.append((i, seed))
+            rows.append((solved.get(i, [0, 0, 0])[seed], 10 * i))
+        shape = lambda k: np.array([[row[k]] for row in rows], float)
+        return Curve(np.ones((len(rows), 1)), shape(0), shape(1), shape(1))
+
+    monkeypatch.setattr(tuning, "train_settings", play)
+    found = tune(protocol, task, method)
+    assert seen[:8] == [(i, 0) for i in range(8)]
+    assert sorted(seen[8:]) == [(i, seed) for i in (0, 1, 2) for seed in (1, 2)]
+    assert found.setting == settings[2]  # as often solved as 1, with more places
+    assert found.tried[1]["solved"] == [0.4, 0.4, 0.4]
+    assert found.tried[5]["solved"] == [0]
+
+
+def small_protocol():
+    """Return the protocol with a task of a second and few agents."""
+    protocol = read_protocol()
+    task = next(iter(protocol.tasks.values()))
+    small = task._replace(arguments=SMALL, steps=2048)
+    few = {name: protocol.methods[name]._replace(choices={}) for name in ("rnd", "snd_vic")}
+    return protocol._replace(
+        common=AGENT,
+        tasks={task.name: small},
+        methods=few,
+        settings=2,
+        finalists=1,
+        tuning_seeds=[0, 1],
+        seeds=[7, 8],
+    )
+
+
+def test_complete_row_writes_its_search_and_seeds_and_the_page_shows_them(tmp_path, capsys):
+    protocol = small_protocol()
+    (task,) = protocol.tasks.values()
+    for name in ("rnd", "snd_vic"):
+        complete_row(protocol, task, protocol.methods[name], tmp_path)
+    found = json.loads(row_path(tmp_path, "rows", task, protocol.methods["rnd"]).read_text())
+    assert found["seeds"] == [7, 8]
+    assert len(found["solved"]) == len(found["curve"]["coverage"]) == 2
+    searched = json.loads(row_path(tmp_path, "tuning", task, protocol.methods["rnd"]).read_text())
+    assert len(searched["tried"]) == 2
+    assert searched["numbers"] == found["numbers"]
+    before = os.stat(row_path(tmp_path, "rows", task, protocol.methods["rnd"])).st_mtime_ns
+    complete_row(protocol, task, protocol.methods["rnd"], tmp_path)
+    assert os.stat(row_path(tmp_path, "rows", task, protocol.methods["rnd"])).st_mtime_ns == before
+    write_page(protocol, tmp_path)
+    page = (tmp_path / "rows.md").read_text()
+    assert task.title in page
+    assert "SND-VIC" in page
+    assert (tmp_path / "images" / "seeds.png").stat().st_size > 1000
+
+
+def test_trial_row_that_is_not_known_is_refused(tmp_path, capsys):
+    assert main(["only=nowhere/rnd", f"out={tmp_path}"]) == 2
+    assert "nowhere/rnd" in capsys.readouterr().err
+    protocol = read_protocol()
+    with pytest.raises(ConfigError, match="row of the trial"):
+        protocol.find_row("rnd")
