@@ -28,9 +28,9 @@ class Options:
     seeds: int = option(1, "with repeat, the number of seeds", low=1, high=1000)
     page: bool = option(False, "only write the tables and pictures of the results")
     out: str = option("docs/results/trial", "where the results are")
-    jobs: int | None = option(None, "rows at the same time; default: one on each core", low=1)
+    jobs: int = option(0, "rows at the same time; 0: one on each core", low=0)
     complete: str | None = option(None, "one row in this process, for the command itself")
-    core: int | None = option(None, "the core of that process", low=0)
+    core: int = option(-1, "the core of that process; -1: any", low=-1)
 
 
 def trial(paths: list[Path], options: Options) -> None:
@@ -39,7 +39,7 @@ def trial(paths: list[Path], options: Options) -> None:
     Raises:
       ConfigError: a row is not known, or some rows failed.
     """
-    if options.core is not None and hasattr(os, "sched_setaffinity"):
+    if options.core >= 0 and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {options.core})
     from .trials.launcher import complete_rows, default_jobs, missing_rows
     from .trials.protocol import read_protocol
@@ -63,7 +63,7 @@ def trial(paths: list[Path], options: Options) -> None:
         print(f"{len(rows)} rows to run", flush=True)
         failed = complete_rows(rows, out, options.jobs or default_jobs())
         if failed:
-            raise ConfigError(f"{len(failed)} rows failed: {', '.join(failed)}")
+            raise ConfigError(f"{len(failed)} rows failed")
     from .trials.page import write_page
 
     write_page(protocol, out)

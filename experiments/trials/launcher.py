@@ -11,6 +11,7 @@ from .protocol import Method, Protocol, Task
 from .rows import row_path
 
 LOGS = Path("build") / "trial"
+ANY = -1  # in place of the number of a core
 
 
 def missing_rows(protocol: Protocol, out: Path) -> list[tuple[Task, Method]]:
@@ -23,20 +24,19 @@ def missing_rows(protocol: Protocol, out: Path) -> list[tuple[Task, Method]]:
     return [row for row in protocol.rows() if not row_path(out, "rows", *row).exists()]
 
 
-def run_child(task: Task, method: Method, out: Path, core: int | None) -> int:
+def run_child(task: Task, method: Method, out: Path, core: int) -> int:
     """Tune and run a row in a child process, and return its exit status.
 
     Args:
       task: of the row.
       method: of the row.
       out: the directory of the trial's results.
-      core: that it may use; None: any.
+      core: that it may use; `ANY`: any.
     """
     log = LOGS / task.name / f"{method.name}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
-    arguments = [f"complete={task.name}/{method.name}", option_text("out", out)]
-    if core is not None:
-        arguments.append(f"core={core}")
+    row = f"complete={task.name}/{method.name}"
+    arguments = [row, option_text("out", out), f"core={core}"]
     with log.open("ab") as output:
         return start_command("trial", arguments, output=output).wait()
 
@@ -50,7 +50,7 @@ def complete_rows(rows: list[tuple[Task, Method]], out: Path, jobs: int) -> list
       jobs: how many at the same time.
     """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    free: list[int | None] = [*cores[:jobs]] if len(cores) >= jobs else [None] * jobs
+    free = cores[:jobs] if len(cores) >= jobs else [ANY] * jobs
     failed = []
 
     def run(row: tuple[Task, Method]) -> None:
