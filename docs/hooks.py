@@ -36,7 +36,8 @@ REFERENCE = {
     "rollouts": (
         "Rollouts",
         "Rollout from_autoreset check_rollout Transition gather_transitions slice_transitions "
-        "JaxEnvironment LiveEnvironments init_environments step_environments collect FrameStack",
+        "JaxEnvironment LiveEnvironments Visits init_environments step_environments collect "
+        "FrameStack",
     ),
     "agent": (
         "Our own PPO",

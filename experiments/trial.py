@@ -3,6 +3,7 @@
     sndjax trial                             every row that has no results in docs/results/trial yet
     sndjax trial only=rooms/rnd,rooms/snd_vic          some of them
     sndjax trial repeat=rooms/snd_vic seeds=3          the first seeds of a row, beside its results
+    sndjax trial causes=door_key             what the modules of a task's rows see of its level
     sndjax trial page=true                   the page's tables and pictures, from the results
 
 A row is a method on a task: 32 settings are tried, then 30 seeds that were not looked at. Rows run
@@ -26,6 +27,7 @@ class Options:
     only: str | None = option(None, "the rows to run, TASK/METHOD by commas; default: all")
     repeat: str | None = option(None, "a row whose seeds are run again, TASK/METHOD")
     seeds: int = option(1, "with repeat, the number of seeds", low=1, high=1000)
+    causes: str | None = option(None, "tasks whose levels are walked through, by commas")
     page: bool = option(False, "only write the tables and pictures of the results")
     out: str = option("docs/results/trial", "where the results are")
     jobs: int = option(0, "rows at the same time; 0: one on each core", low=0)
@@ -54,6 +56,12 @@ def trial(paths: list[Path], options: Options) -> None:
         from .trials.repeat import repeat_row
 
         repeat_row(protocol, *protocol.find_row(options.repeat), out, options.seeds)
+        return
+    if options.causes is not None:
+        from .trials.causes import complete_causes
+
+        for name in options.causes.split(","):
+            complete_causes(protocol, protocol.find_task(name.strip()), out)
         return
     if not options.page:
         rows = missing_rows(protocol, out)

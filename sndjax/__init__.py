@@ -81,6 +81,7 @@ from sndjax.types import (
     Transition,
 )
 from sndjax.version import __version__
+from sndjax.visits import Visits
 from sndjax.weighted_sum import weighted_sum
 
 __all__ = [
@@ -124,6 +125,7 @@ __all__ = [
     "TargetNetwork",
     "TrainState",
     "Transition",
+    "Visits",
     "__version__",
     "act",
     "all_finite",

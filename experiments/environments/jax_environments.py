@@ -5,6 +5,7 @@ episode's last observation or go back to stored first states.
 """
 
 import importlib
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import cache
@@ -197,7 +198,9 @@ def make_navix(name: str, options: Options) -> sndjax.JaxEnvironment:
 
 def make_minigrid_level(name: str, options: Options) -> sndjax.JaxEnvironment:
     """Make a level of minigrid that is the same in every episode; see `make_level`."""
-    from .levels.level_environment import make_level
+    with warnings.catch_warnings():  # of pygame, which draws
+        warnings.simplefilter("ignore")
+        from .levels.level_environment import make_level
 
     return make_level(name, **options)
 

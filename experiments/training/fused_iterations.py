@@ -10,7 +10,6 @@ import numpy as np
 from jax import lax
 
 import sndjax
-from sndjax.collecting import Visits
 
 from .agents import make_seed_train_step
 from .experiment import Experiment, RunState
@@ -36,7 +35,7 @@ class Row(NamedTuple):
     int_reward: Any
 
 
-def visit_metrics(visits: Visits | None) -> dict[str, Any]:
+def visit_metrics(visits: sndjax.Visits | None) -> dict[str, Any]:
     """Return the metrics of what environments have seen so far; none without places.
 
     `coverage` is the number of distinct places, `progress` the mean over all episodes that ended, 0

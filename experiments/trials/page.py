@@ -15,6 +15,7 @@ from ..reporting.seed_statistics import (
     probability_of_improvement,
 )
 from ..system.files import write_atomically
+from .chance import format_chance, measure_chance
 from .protocol import Method, Protocol, Task
 from .rows import row_path
 
@@ -73,21 +74,26 @@ def cell_of(row: dict[str, Any] | None, name: str) -> str:
     return f"{value:.0f}" + (f" [{interval[0]:.0f}, {interval[1]:.0f}]" if interval else "")
 
 
-def result_table(protocol: Protocol, rows: Rows, name: str) -> list[str]:
+def result_table(
+    protocol: Protocol, rows: Rows, name: str, chance: dict[str, list[int]] | None = None
+) -> list[str]:
     """Return the table of a result: a line for every task, a column for every method.
 
     Args:
       protocol: of the trial.
       rows: the results.
       name: "solved", "coverage" or "progress".
+      chance: of random actions by task, for a column of its own; None: without it.
     """
     methods = list(protocol.methods.values())
-    lines = [
-        (task.title, [cell_of(rows.get((task.name, method.name)), name) for method in methods])
-        for task in protocol.tasks.values()
-        if any(key[0] == task.name for key in rows)
-    ]
-    return table("task", [method.title for method in methods], lines)
+    lines = []
+    for task in protocol.tasks.values():
+        if not any(key[0] == task.name for key in rows):
+            continue
+        cells = [cell_of(rows.get((task.name, method.name)), name) for method in methods]
+        lines.append((task.title, [format_chance(*chance[task.name]), *cells] if chance else cells))
+    titles = [method.title for method in methods]
+    return table("task", ["random actions", *titles] if chance else titles, lines)
 
 
 def paired(
@@ -255,7 +261,12 @@ def write_page(protocol: Protocol, out: Path) -> None:
         draw_rows(protocol, rows, out / PICTURES)
         lines += ["", "## Against RND", "", *verdict_table(protocol, rows)]
         lines += ["", "## Solved episodes: IQM of 30 seeds, 95% interval", ""]
-        lines += [*result_table(protocol, rows, "solved"), "", "![All seeds](images/seeds.png)"]
+        chance = measure_chance(protocol, out)
+        lines += [
+            *result_table(protocol, rows, "solved", chance),
+            "",
+            "![All seeds](images/seeds.png)",
+        ]
         lines += ["", "![Solved episodes over training](images/curves.png)"]
         lines += ["", "## The probability that a run solves more than one of RND", ""]
         lines += chance_table(protocol, rows)

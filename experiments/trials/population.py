@@ -4,11 +4,14 @@ Such numbers are arguments of the compiled program, so that a search compiles on
 of the same shapes.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 import sndjax
 
@@ -51,43 +54,74 @@ def with_numbers(agent: sndjax.AgentSpec, numbers: dict[str, Any]) -> sndjax.Age
     return agent._replace(ppo=agent.ppo._replace(**of("ppo.")), intrinsic=intrinsic)
 
 
-def make_training(experiment: Experiment) -> Any:
-    """Return a function of one agent that trains it from its start to its end, not jitted.
+class Agent(NamedTuple):
+    """An agent in the middle of its training."""
+
+    train: sndjax.TrainState
+    environments: sndjax.LiveEnvironments
+    score: Float[Array, " N"]  # of the running episodes
+
+
+def start_agent(experiment: Experiment, train: sndjax.TrainState) -> Agent:
+    """Return an agent before its first iteration, with the environments of an ordinary run.
 
     Args:
       experiment: of environments in jax.
+      train: its state.
+    """
+    config, env = experiment.config, experiment.pool.environment
+    assert env is not None
+    key = jax.random.fold_in(train.key, START_STREAM)
+    network = experiment.agent.network
+    live = sndjax.init_environments(env, key, config.num_envs, config.env.stack, network)
+    return Agent(train, live, jnp.zeros(config.num_envs))
+
+
+def count_solved(score: Any, rewards: Any, done: Any) -> tuple[Any, Any]:
+    """Return the scores of the running episodes after a rollout, and how many ended above 0.
+
+    Args:
+      score: before it, [N].
+      rewards: of the rollout, [T, N].
+      done: where an episode ended, [T, N].
+    """
+
+    def step(score: Any, row: tuple[Any, Any]) -> Any:
+        reward, ended = row
+        score = score + reward
+        return jnp.where(ended, 0, score), ((score > 0) & ended).sum()
+
+    score, solved = jax.lax.scan(step, score, (rewards, done))
+    return score, solved.sum()
+
+
+def make_training(experiment: Experiment, iterations: int) -> Callable[..., tuple[Agent, Curve]]:
+    """Return a function that trains one agent for some iterations, not jitted.
+
+    Args:
+      experiment: of environments in jax.
+      iterations: their number.
 
     Returns:
-      (state, numbers) -> `Curve` of the agent, leaves [iterations].
+      (agent, numbers) -> the agent after them, and its `Curve`, leaves [iterations].
     """
     config, env = experiment.config, experiment.pool.environment
     assert env is not None
 
-    def train(state: sndjax.TrainState, numbers: dict[str, Any]) -> Any:
-        agent = with_numbers(experiment.agent, numbers)
-        collect = make_jax_collect(env, agent, config)
-        train_step = make_seed_train_step(agent, config)
-        key = jax.random.fold_in(state.key, START_STREAM)
-        live = sndjax.init_environments(env, key, config.num_envs, config.env.stack, agent.network)
+    def train(agent: Agent, numbers: dict[str, Any]) -> tuple[Agent, Curve]:
+        spec = with_numbers(experiment.agent, numbers)
+        collect = make_jax_collect(env, spec, config)
+        train_step = make_seed_train_step(spec, config)
 
-        def iterate(carry: Any, _: Any) -> Any:
-            state, live, total = carry
-            batch, live, score = collect(actor_of(state), live)
-            state, *_ = train_step(state, batch)
-
-            # `total` is the score of the running episodes.
-            def count(total: Any, row: Any) -> Any:
-                score, done = row
-                total = total + score
-                return jnp.where(done, 0, total), (total > 0) & done
-
-            total, solved = jax.lax.scan(count, total, (score, batch.rollout.done))
+        def iterate(agent: Agent, _: Any) -> tuple[Agent, Curve]:
+            batch, live, reward = collect(actor_of(agent.train), agent.environments)
+            state, *_ = train_step(agent.train, batch)
+            score, solved = count_solved(agent.score, reward, batch.rollout.done)
             seen = visit_metrics(live.visits) or {"coverage": 0, "progress": 0.0}
-            row = Curve(batch.rollout.done.sum(), solved.sum(), seen["coverage"], seen["progress"])
-            return (state, live, total), jax.tree.map(jnp.float32, row)
+            row = Curve(batch.rollout.done.sum(), solved, seen["coverage"], seen["progress"])
+            return Agent(state, live, score), jax.tree.map(jnp.float32, row)
 
-        start = (state, live, jnp.zeros(config.num_envs))
-        return jax.lax.scan(iterate, start, length=config.iterations)[1]
+        return jax.lax.scan(iterate, agent, length=iterations)
 
     return train
 
@@ -95,24 +129,35 @@ def make_training(experiment: Experiment) -> Any:
 class Population:
     """Agents of one program: all that they have in common is compiled once."""
 
-    def __init__(self, config: Config):
+    def __init__(self, config: Config, parts: int = 1):
         """Build environments and agents; compile nothing yet.
 
         Args:
           config: of environments in jax; its number of seeds is how many agents train together.
+          parts: in how many calls of the program they are trained.
         """
         self.size = config.num_seeds
         self.experiment = build_experiment(config)
         self.init = make_init_states(self.experiment.agent)
-        self.program = jax.jit(map_over_seeds(make_training(self.experiment), self.size))
+        each = -(-config.iterations // parts)
+        self.begin = jax.jit(map_over_seeds(partial(start_agent, self.experiment), self.size))
+        self.program = jax.jit(map_over_seeds(make_training(self.experiment, each), self.size))
 
-    def train(self, seeds: list[int], numbers: dict[str, list[float]]) -> Curve:
-        """Train agents side by side, each from its seed and with its numbers.
+    def start(self, seeds: list[int]) -> Agent:
+        """Return the agents before their first iteration, leaves [S, ...].
 
         Args:
-          seeds: one for each agent.
+          seeds: one for each.
+        """
+        return self.begin(self.init(seeds, self.experiment.example))
+
+    def train(self, agents: Agent, numbers: dict[str, list[float]]) -> tuple[Agent, Curve]:
+        """Train agents side by side for one part, each with its numbers.
+
+        Args:
+          agents: before it.
           numbers: by the option's name, a value for each agent.
         """
         given = {name: jnp.asarray(values, jnp.float32) for name, values in numbers.items()}
-        states = self.init(seeds, self.experiment.example)
-        return Curve(*map(np.asarray, self.program(states, given)))
+        agents, curve = self.program(agents, given)
+        return agents, Curve(*map(np.asarray, curve))

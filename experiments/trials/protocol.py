@@ -81,6 +81,19 @@ class Protocol(NamedTuple):
         ]
         return sorted(rows, key=lambda row: row[1].stage)
 
+    def find_task(self, name: str) -> Task:
+        """Return the task of a name.
+
+        Args:
+          name: of the task.
+
+        Raises:
+          ConfigError: there is none.
+        """
+        if name not in self.tasks:
+            raise unknown_name_error("task of the trial", name, list(self.tasks))
+        return self.tasks[name]
+
     def find_row(self, name: str) -> tuple[Task, Method]:
         """Return the task and the method of TASK/METHOD.
 

@@ -124,7 +124,8 @@ def train_settings(
             own, seeds = zip(*(agents[i] for i in padded), strict=True)
             arguments = run_arguments(protocol, task, method, own[0].choices, TOGETHER)
             numbers = {name: [setting.numbers[name] for setting in own] for name in own[0].numbers}
-            curve = make_population(tuple(arguments)).train(list(seeds), numbers)
+            population = make_population(tuple(arguments))
+            _, curve = population.train(population.start(list(seeds)), numbers)
             curves.append(Curve(*(field[: len(part)] for field in curve)))
     places = np.argsort(order)
     return Curve(*(np.concatenate(fields)[places] for fields in zip(*curves, strict=True)))

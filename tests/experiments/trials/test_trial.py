@@ -31,7 +31,8 @@ def log_of(path):
 def test_population_agents_with_numbers_equal_ordinary_runs(tmp_path):
     numbers = {"algo.eta": [0.5, 2.0], "algo.learning_rate": [1e-3, 1e-4]}
     numbers |= {"ppo.entropy_weight": [0.01, 0.001], "ppo.learning_rate": [1e-3, 3e-3]}
-    found = Population(load_config([*RUN, "num_seeds=2"])).train([5, 9], numbers)
+    population = Population(load_config([*RUN, "num_seeds=2"]))
+    _, found = population.train(population.start([5, 9]), numbers)
     for i, seed in enumerate((5, 9)):
         own = [f"{name}={values[i]}" for name, values in numbers.items()]
         path = tmp_path / str(seed)
