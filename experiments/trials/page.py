@@ -189,7 +189,7 @@ def setting_table(protocol: Protocol, rows: Rows) -> list[str]:
         chosen = [f"{name}={value}" for name, value in row["choices"].items()]
         title = f"{protocol.tasks[task].title}, {protocol.methods[method].title}"
         lines.append((title, [", ".join(numbers + chosen), f"{row['seconds']:.0f}"]))
-    return table("row", ["setting", "seconds of its 30 seeds on one core"], lines)
+    return table("row", ["setting", "seconds of its seeds on one core"], lines)
 
 
 def draw_rows(protocol: Protocol, rows: Rows, out: Path) -> None:
@@ -226,7 +226,7 @@ def draw_rows(protocol: Protocol, rows: Rows, out: Path) -> None:
     for unused in (*panels.flat[len(tasks) :], *others.flat[len(tasks) :]):
         unused.set_visible(False)
     names = {line.get_label(): line for axes in others.flat for line in axes.get_lines()}
-    curves.legend(list(names.values()), list(names), loc="outside lower center", ncols=6)
+    curves.legend(list(names.values()), list(names), loc="outside lower center", ncols=2 * columns)
     save_figure(seeds, out, "seeds", vector=False)
     save_figure(curves, out, "curves", vector=False)
 
@@ -260,7 +260,7 @@ def write_page(protocol: Protocol, out: Path) -> None:
     if rows:
         draw_rows(protocol, rows, out / PICTURES)
         lines += ["", "## Against RND", "", *verdict_table(protocol, rows)]
-        lines += ["", "## Solved episodes: IQM of 30 seeds, 95% interval", ""]
+        lines += ["", f"## Solved episodes: IQM of {len(protocol.seeds)} seeds, 95% interval", ""]
         chance = measure_chance(protocol, out)
         lines += [
             *result_table(protocol, rows, "solved", chance),
