@@ -19,6 +19,8 @@ from .config.tool_options import run_command
 from .system.errors import ConfigError
 from .system.process import run_script
 
+MOST_NAMES = 5  # of rows that failed, in a message
+
 
 @dataclass(frozen=True)
 class Options:
@@ -43,7 +45,7 @@ def trial(paths: list[Path], options: Options) -> None:
     """
     if options.core >= 0 and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {options.core})
-    from .trials.launcher import complete_rows, default_jobs, missing_rows
+    from .trials.launcher import LOGS, complete_rows, missing_rows
     from .trials.protocol import read_protocol
 
     protocol, out = read_protocol(), Path(options.out)
@@ -69,9 +71,10 @@ def trial(paths: list[Path], options: Options) -> None:
             wanted = [protocol.find_row(name.strip()) for name in options.only.split(",")]
             rows = [row for row in wanted if row in rows]
         print(f"{len(rows)} rows to run", flush=True)
-        failed = complete_rows(rows, out, options.jobs or default_jobs())
+        failed = complete_rows(rows, out, options.jobs)
         if failed:
-            raise ConfigError(f"{len(failed)} rows failed")
+            names = ", ".join(failed[:MOST_NAMES]) + ", ..." * (len(failed) > MOST_NAMES)
+            raise ConfigError(f"{len(failed)} rows failed: {names}; what they printed: {LOGS}")
     from .trials.page import write_page
 
     write_page(protocol, out)

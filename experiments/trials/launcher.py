@@ -1,17 +1,29 @@
 """The rows of the trial that are missing, each in a child process on a core of its own."""
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+import subprocess
+import time
 from pathlib import Path
+from typing import NamedTuple
 
 from ..config.command_text import option_text
-from ..system.process import available_cores
+from ..system.display import ProgressBars
 from ..system.subprocesses import start_command
 from .protocol import Method, Protocol, Task
-from .rows import row_path
+from .rows import read_count, row_path
 
 LOGS = Path("build") / "trial"
 ANY = -1  # in place of the number of a core
+LOOK_SECONDS = 0.5  # between two looks at the children
+
+
+class Running(NamedTuple):
+    """A row in a child process."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    core: int
+    log: Path
 
 
 def missing_rows(protocol: Protocol, out: Path) -> list[tuple[Task, Method]]:
@@ -24,8 +36,8 @@ def missing_rows(protocol: Protocol, out: Path) -> list[tuple[Task, Method]]:
     return [row for row in protocol.rows() if not row_path(out, "rows", *row).exists()]
 
 
-def run_child(task: Task, method: Method, out: Path, core: int) -> int:
-    """Tune and run a row in a child process, and return its exit status.
+def start_row(task: Task, method: Method, out: Path, core: int) -> Running:
+    """Tune and run a row in a child process.
 
     Args:
       task: of the row.
@@ -33,40 +45,53 @@ def run_child(task: Task, method: Method, out: Path, core: int) -> int:
       out: the directory of the trial's results.
       core: that it may use; `ANY`: any.
     """
-    log = LOGS / task.name / f"{method.name}.log"
+    name = f"{task.name}/{method.name}"
+    log = LOGS / f"{name}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
-    row = f"complete={task.name}/{method.name}"
-    arguments = [row, option_text("out", out), f"core={core}"]
-    with log.open("ab") as output:
-        return start_command("trial", arguments, output=output).wait()
+    arguments = [f"complete={name}", option_text("out", out), f"core={core}"]
+    with log.open("wb") as output:
+        return Running(name, start_command("trial", arguments, output=output), core, log)
+
+
+def choose_cores(jobs: int) -> list[int]:
+    """Return the core of each job that runs at the same time; `ANY` where there are too few.
+
+    Args:
+      jobs: their number; 0: one on each core.
+    """
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    if not jobs:
+        return cores or [ANY] * (os.cpu_count() or 1)
+    return cores[:jobs] if len(cores) >= jobs else [ANY] * jobs
 
 
 def complete_rows(rows: list[tuple[Task, Method]], out: Path, jobs: int) -> list[str]:
-    """Run rows side by side, print each that ends, and return the names of those that failed.
+    """Run rows side by side, show how far they are, and return the names of those that failed.
 
     Args:
       rows: what is run.
       out: the directory of the trial's results.
-      jobs: how many at the same time.
+      jobs: see `choose_cores`.
     """
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    free = cores[:jobs] if len(cores) >= jobs else [ANY] * jobs
-    failed = []
-
-    def run(row: tuple[Task, Method]) -> None:
-        core = free.pop()
-        name = f"{row[0].name}/{row[1].name}"
-        status = run_child(*row, out, core)
-        free.append(core)
-        print(f"{name}: {'done' if status == 0 else f'failed, see {LOGS}/{name}.log'}", flush=True)
-        if status:
-            failed.append(name)
-
-    with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(run, rows))
+    waiting, free = list(rows), choose_cores(jobs)
+    running: list[Running] = []
+    failed: list[str] = []
+    with ProgressBars() as bars:
+        try:
+            while waiting or running:
+                while waiting and free:
+                    running.append(start_row(*waiting.pop(0), out, free.pop(0)))
+                for row in list(running):
+                    ended = row.process.poll() is not None
+                    bars.update(row.name, *read_count(row.log.read_text(errors="replace")))
+                    if not ended:
+                        continue
+                    running.remove(row)
+                    free.append(row.core)
+                    if row.process.returncode:
+                        failed.append(row.name)
+                time.sleep(LOOK_SECONDS)
+        finally:
+            for row in running:
+                row.process.terminate()
     return failed
-
-
-def default_jobs() -> int:
-    """Return how many rows are run at the same time, if it is not said: one on each core."""
-    return available_cores()

@@ -71,6 +71,11 @@ class Protocol(NamedTuple):
     tuning_seeds: list[int]
     seeds: list[int]
 
+    @property
+    def agents(self) -> int:
+        """Return how many agents are trained for a row, in its search and on its seeds."""
+        return self.settings + self.finalists * (len(self.tuning_seeds) - 1) + len(self.seeds)
+
     def rows(self) -> list[tuple[Task, Method]]:
         """Return the pairs that are run, in order: all methods of a stage and a task together."""
         rows = [

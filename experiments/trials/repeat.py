@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..system.errors import ConfigError
 from .protocol import Method, Protocol, Task
-from .rows import row_path, run_row
+from .rows import AgentCount, row_path, run_row
 from .tuning import Setting
 
 
@@ -33,7 +33,8 @@ def repeat_row(protocol: Protocol, task: Task, method: Method, out: Path, seeds:
         raise ConfigError(f"seeds={seeds}: the row has {len(stored['seeds'])}")
     setting = Setting(stored["numbers"], stored["choices"])
     print(f"{task.title}, {method.title}: {seeds} of {len(stored['seeds'])} seeds", flush=True)
-    found = run_row(protocol, task, method, setting, stored["seeds"][:seeds])
+    count = AgentCount(seeds)
+    found = run_row(protocol, task, method, setting, stored["seeds"][:seeds], count.add)
     print("seed   solved  stored   coverage  stored")
     for i, seed in enumerate(found["seeds"]):
         solved, coverage = found["solved"][i], found["coverage"][i]

@@ -2,6 +2,7 @@
 
 import json
 import platform
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from ..system.files import write_atomically
 from ..system.versions import versions
 from .population import Curve
 from .protocol import Method, Protocol, Task
-from .tuning import Setting, run_arguments, score_curve, train_settings, tune
+from .tuning import Report, Setting, run_arguments, score_curve, train_settings, tune
 
 POINTS = 20  # of a curve
 
@@ -38,7 +39,12 @@ def bin_curve(curve: Curve) -> dict[str, list[list[float]]]:
 
 
 def run_row(
-    protocol: Protocol, task: Task, method: Method, setting: Setting, seeds: list[int]
+    protocol: Protocol,
+    task: Task,
+    method: Method,
+    setting: Setting,
+    seeds: list[int],
+    report: Report = lambda agents: None,
 ) -> dict[str, Any]:
     """Run a row on seeds, and return its results.
 
@@ -48,9 +54,11 @@ def run_row(
       method: of the row.
       setting: of the method.
       seeds: of the agents.
+      report: called after each program.
     """
     begun = time.monotonic()
-    curve = train_settings(protocol, task, method, [(setting, seed) for seed in seeds])
+    pairs = [(setting, seed) for seed in seeds]
+    curve = train_settings(protocol, task, method, pairs, report)
     scores = score_curve(curve)
     return {
         "task": task.name,
@@ -109,7 +117,9 @@ def write_json(path: Path, found: dict[str, Any]) -> None:
     write_atomically(path, f"{{\n{body}\n}}\n")
 
 
-def tuned_setting(protocol: Protocol, task: Task, method: Method, out: Path) -> Setting:
+def tuned_setting(
+    protocol: Protocol, task: Task, method: Method, out: Path, report: Report
+) -> Setting:
     """Return the setting of a row: from its file, else by the search, whose file is written.
 
     Args:
@@ -117,11 +127,12 @@ def tuned_setting(protocol: Protocol, task: Task, method: Method, out: Path) -> 
       task: of the row.
       method: of the row.
       out: the directory of the trial's results.
+      report: called after each program.
     """
     path = row_path(out, "tuning", task, method)
     if not path.exists():
         begun = time.monotonic()
-        tuned = tune(protocol, task, method)
+        tuned = tune(protocol, task, method, report)
         found = {
             "task": task.name,
             "method": method.name,
@@ -138,6 +149,34 @@ def tuned_setting(protocol: Protocol, task: Task, method: Method, out: Path) -> 
     return Setting(found["numbers"], found["choices"])
 
 
+class AgentCount:
+    """How many agents of a row were trained, as lines that the launcher reads."""
+
+    def __init__(self, total: int):
+        """Print that none was.
+
+        Args:
+          total: the number of agents.
+        """
+        self.done, self.total = 0, total
+        self.add(0)
+
+    def add(self, agents: int) -> None:
+        """Add agents, and print the line."""
+        self.done += agents
+        print(f"{self.done} of {self.total} agents", flush=True)
+
+
+def read_count(text: str) -> tuple[int, int]:
+    """Return the last count of agents that a row printed, and of how many; at first 0 of 1.
+
+    >>> read_count("a warning\\n4 of 80 agents\\n8 of 80 agents\\n")
+    (8, 80)
+    """
+    found = re.findall(r"^(\d+) of (\d+) agents$", text, re.MULTILINE)
+    return (int(found[-1][0]), int(found[-1][1])) if found else (0, 1)
+
+
 def complete_row(protocol: Protocol, task: Task, method: Method, out: Path) -> None:
     """Tune and run a row, unless its files are there.
 
@@ -150,5 +189,7 @@ def complete_row(protocol: Protocol, task: Task, method: Method, out: Path) -> N
     path = row_path(out, "rows", task, method)
     if path.exists():
         return
-    setting = tuned_setting(protocol, task, method, out)
-    write_json(path, run_row(protocol, task, method, setting, protocol.seeds))
+    begun = row_path(out, "tuning", task, method).exists()
+    count = AgentCount(len(protocol.seeds) if begun else protocol.agents)
+    setting = tuned_setting(protocol, task, method, out, count.add)
+    write_json(path, run_row(protocol, task, method, setting, protocol.seeds, count.add))

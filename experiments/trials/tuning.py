@@ -1,5 +1,6 @@
 """The search for a method's settings on a task: all on one seed, the best of them on more."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from .population import Curve, Population
 from .protocol import Method, Protocol, Task
 
 TOGETHER = 4  # agents in one program
+Report = Callable[[int], None]  # called with the number of agents that were trained
 DRAW_SEED = 0  # of the settings, the same for all methods
 LAST = 0.2  # the part of a run, its last, whose episodes count
 
@@ -99,7 +101,11 @@ def make_population(arguments: tuple[str, ...]) -> Population:
 
 
 def train_settings(
-    protocol: Protocol, task: Task, method: Method, agents: list[tuple[Setting, int]]
+    protocol: Protocol,
+    task: Task,
+    method: Method,
+    agents: list[tuple[Setting, int]],
+    report: Report = lambda agents: None,
 ) -> Curve:
     """Train agents of settings and seeds, `TOGETHER` of the same choices at once.
 
@@ -108,6 +114,7 @@ def train_settings(
       task: of the row.
       method: of the row.
       agents: the setting and the seed of each.
+      report: called after each program.
 
     Returns:
       Their curves, in the order of `agents`.
@@ -127,6 +134,7 @@ def train_settings(
             population = make_population(tuple(arguments))
             _, curve = population.train(population.start(list(seeds)), numbers)
             curves.append(Curve(*(field[: len(part)] for field in curve)))
+            report(len(part))
     places = np.argsort(order)
     return Curve(*(np.concatenate(fields)[places] for fields in zip(*curves, strict=True)))
 
@@ -156,13 +164,16 @@ def rank(tried: list[dict[str, Any]]) -> list[int]:
     )
 
 
-def tune(protocol: Protocol, task: Task, method: Method) -> Tuned:
+def tune(
+    protocol: Protocol, task: Task, method: Method, report: Report = lambda agents: None
+) -> Tuned:
     """Search for the settings of a row.
 
     Args:
       protocol: of the trial.
       task: of the row.
       method: of the row.
+      report: called after each program.
     """
     settings = draw_settings(method, protocol.settings)
     tried: list[dict[str, Any]] = [
@@ -171,7 +182,8 @@ def tune(protocol: Protocol, task: Task, method: Method) -> Tuned:
 
     def try_all(which: list[int], seeds: list[int]) -> None:
         agents = [(i, seed) for i in which for seed in seeds]
-        curve = train_settings(protocol, task, method, [(settings[i], s) for i, s in agents])
+        pairs = [(settings[i], seed) for i, seed in agents]
+        curve = train_settings(protocol, task, method, pairs, report)
         scores = score_curve(curve)
         for (i, _), solved, coverage in zip(agents, scores.solved, scores.coverage, strict=True):
             tried[i]["solved"].append(round(float(solved), 4))

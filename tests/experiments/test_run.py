@@ -23,7 +23,9 @@ def train(path, *arguments):
 FOUR = ["ppo", "rnd", "snd_std", "snd_vic"]
 DEFAULT = [*(f"algo={algo}" for algo in [*FOUR, "icm"]), "algo.signal=ngu", "algo.signal=re3"]
 RUNS = [
-    pytest.param(env, [f"algo={algo}"], marks=pytest.mark.exhaustive if algo == "snd_vic" else ())
+    pytest.param(
+        env, [f"algo={algo}"], marks=pytest.mark.exhaustive if algo in ("rnd", "snd_vic") else ()
+    )
     for env in ("Venture", "Coinrun")
     for algo in FOUR
 ]

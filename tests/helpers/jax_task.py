@@ -31,4 +31,13 @@ def make(cells=6, limit=20, wrong_at=0):
         reward = jnp.where((time == wrong_at) & (wrong_at > 0), jnp.nan, reward)
         return state | {"at": at, "time": time}, look(at, time), reward, end, time >= limit
 
-    return sndjax.JaxEnvironment(reset, step, num_actions=2, low=0.0, high=2.0)
+    return sndjax.JaxEnvironment(
+        reset,
+        step,
+        num_actions=2,
+        low=0.0,
+        high=2.0,
+        place=lambda state: state["at"],
+        num_places=cells,
+        progress=lambda state: state["at"].astype(jnp.float32),
+    )
