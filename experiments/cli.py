@@ -31,7 +31,7 @@ COMMANDS = {
     "convolutions": "time a convolution's implementations side by side",
     "budget": "estimate what a sweep costs",
     "gpu_suite": "learn what can be learned on a GPU in a given time",
-    "trial": "does a self-supervised encoder beat the random one? tune and run every row",
+    "trial": "tune and run the rows of the trial: trained encoders against random ones",
     "external": "run another project's RND on our task",
 }
 ALIASES = {  # earlier names

@@ -6,20 +6,16 @@
     sndjax trial causes=door_key             what the modules of a task's rows see of its level
     sndjax trial page=true                   the page's tables and pictures, from the results
 
-A row is a method on a task: 32 settings are tried, then 30 seeds that were not looked at. Rows run
-side by side, one on each core, and a row that was stopped goes on after its search.
+A row is a method on a task: 32 settings are tried, then 32 seeds that were not looked at. Rows run
+side by side, one on each core, and a row that was stopped continues after its search.
 """
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from .config.option import option
 from .config.tool_options import run_command
-from .system.errors import ConfigError
 from .system.process import run_script
-
-MOST_NAMES = 5  # of rows that failed, in a message
 
 
 @dataclass(frozen=True)
@@ -33,51 +29,26 @@ class Options:
     page: bool = option(False, "only write the tables and pictures of the results")
     out: str = option("docs/results/trial", "where the results are")
     jobs: int = option(0, "rows at the same time; 0: one on each core", low=0)
-    complete: str | None = option(None, "one row in this process, for the command itself")
-    core: int = option(-1, "the core of that process; -1: any", low=-1)
+    complete: str | None = option(None, "a row to run in this process, TASK/METHOD")
+    core: int = option(-1, "with complete, the core of this process; -1: any", low=-1)
 
 
 def trial(paths: list[Path], options: Options) -> None:
-    """Run what was asked for.
-
-    Raises:
-      ConfigError: a row is not known, or some rows failed.
-    """
-    if options.core >= 0 and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {options.core})
-    from .trials.launcher import LOGS, complete_rows, missing_rows
+    """Run what is asked for."""
+    from .trials import stages
     from .trials.protocol import read_protocol
 
     protocol, out = read_protocol(), Path(options.out)
     if options.complete is not None:
-        from .trials.rows import complete_row
-
-        complete_row(protocol, *protocol.find_row(options.complete), out)
-        return
-    if options.repeat is not None:
-        from .trials.repeat import repeat_row
-
-        repeat_row(protocol, *protocol.find_row(options.repeat), out, options.seeds)
-        return
-    if options.causes is not None:
-        from .trials.causes import complete_causes
-
-        for name in options.causes.split(","):
-            complete_causes(protocol, protocol.find_task(name.strip()), out)
-        return
-    if not options.page:
-        rows = missing_rows(protocol, out)
-        if options.only is not None:
-            wanted = [protocol.find_row(name.strip()) for name in options.only.split(",")]
-            rows = [row for row in wanted if row in rows]
-        print(f"{len(rows)} rows to run", flush=True)
-        failed = complete_rows(rows, out, options.jobs)
-        if failed:
-            names = ", ".join(failed[:MOST_NAMES]) + ", ..." * (len(failed) > MOST_NAMES)
-            raise ConfigError(f"{len(failed)} rows failed: {names}; what they printed: {LOGS}")
-    from .trials.page import write_page
-
-    write_page(protocol, out)
+        stages.complete_in_process(protocol, options.complete, out, options.core)
+    elif options.repeat is not None:
+        stages.repeat(protocol, options.repeat, out, options.seeds)
+    elif options.causes is not None:
+        stages.trace(protocol, options.causes.split(","), out)
+    elif options.page:
+        stages.write(protocol, out)
+    else:
+        stages.run(protocol, options.only and options.only.split(","), out, options.jobs)
 
 
 def main(arguments: list[str]) -> int:

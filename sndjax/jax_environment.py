@@ -57,8 +57,11 @@ def check_environment(env: JaxEnvironment) -> None:
 
     Raises:
       ValueError: `step` returns a state or an observation of another structure, shape or dtype than
-        `reset`, or its reward or a flag is not a scalar.
+        `reset`, or its reward or a flag is not a scalar; or of `place`, `num_places` and `progress`
+        one needs another that is missing.
     """
+    if (env.place is None) != (env.num_places == 0) or (env.progress and env.place is None):
+        raise ValueError("place needs num_places, num_places and progress need place")
     key = jax.random.key(0)
     state, frame = jax.eval_shape(env.reset, key)
     action = jax.ShapeDtypeStruct((), jnp.int32)

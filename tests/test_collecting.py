@@ -154,6 +154,14 @@ def test_check_environment_names_what_does_not_fit(change, message):
         check_environment(plain._replace(step=step))
 
 
+@pytest.mark.parametrize(
+    "given", [{"place": lambda state: 0}, {"num_places": 3}, {"progress": lambda state: 0.0}]
+)
+def test_check_environment_place_progress_and_number_belong_together(given):
+    with pytest.raises(ValueError, match="num_places"):
+        check_environment(corridor()._replace(**given))
+
+
 def test_collect_and_train_step_learn_the_corridor():
     env = corridor(cells=6, limit=12, slip=0.0)
     network = sndjax.ActorCritic(SIZE, 2, 1)

@@ -54,9 +54,9 @@ def count_draws(drawn: np.ndarray) -> np.ndarray:
     return counts.reshape(resamples, items).astype(float)
 
 
-def percentile_interval(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the 2.5% and the 97.5% quantile over the first axis."""
-    low, high = np.quantile(found, [0.025, 0.975], axis=0)
+def percentile_interval(found: np.ndarray, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quantiles over the first axis that have the middle `level` between them."""
+    low, high = np.quantile(found, [(1 - level) / 2, (1 + level) / 2], axis=0)
     return low, high
 
 
@@ -151,6 +151,34 @@ def pooled_interquartile_mean(
     drawn = [task[random.integers(0, len(task), (RESAMPLES, len(task)))] for task in tasks]
     low, high = percentile_interval(interquartile_mean(np.concatenate(drawn, axis=1), axis=1))
     return value, (float(low), float(high))
+
+
+def joint_improvement(
+    tasks: Sequence[tuple[Sequence[np.ndarray], np.ndarray]], level: float = 0.95
+) -> tuple[float, tuple[float, float]]:
+    """Return the mean probability of improvement over tasks and methods, with its interval.
+
+    The bootstrap resamples the runs within each task and method; the runs that all methods of a
+    task are compared with are drawn once for all of them.
+
+    Args:
+      tasks: for each task, the results of each method's runs, and of the runs compared with.
+      level: of the interval.
+
+    >>> joint_improvement([([np.array([2.0, 3.0]), np.array([0.0, 0.0])], np.array([1.0, 1.0]))])
+    (0.5, (0.5, 0.5))
+    """
+    random = np.random.default_rng(0)
+    draw = lambda runs: count_draws(random.integers(0, runs, (RESAMPLES, runs)))
+    values, each = [], []
+    for methods, theirs in tasks:
+        drawn = draw(len(theirs))
+        for ours in methods:
+            wins = compare_pairs(ours, theirs)
+            values.append(wins.mean())
+            each.append(((draw(len(ours)) @ wins) * drawn).sum(1) / wins.size)
+    low, high = percentile_interval(np.mean(each, axis=0), level)
+    return float(np.mean(values)), (float(low), float(high))
 
 
 def exponential_smoothing(values: np.ndarray, weight: float = 0.99) -> np.ndarray:

@@ -53,6 +53,18 @@ class Ground(NamedTuple):
     action: Int[Array, " M"]
 
 
+def look_twice(env: sndjax.JaxEnvironment, key: Any) -> Any:
+    """Return the first observation of an episode and the one after it, [2, ...].
+
+    Args:
+      env: the environment.
+      key: of its draws.
+    """
+    state, first = env.reset(key)
+    _, second, *_ = env.step(jax.random.fold_in(key, 1), state, jnp.int32(0))
+    return jnp.stack([first, second])
+
+
 def find_ground(config: Config, read: Any) -> Ground:
     """Walk through the level of a configuration, without its distractor.
 
@@ -61,7 +73,7 @@ def find_ground(config: Config, read: Any) -> Ground:
       read: the reader of observations.
 
     Raises:
-      ConfigError: the level is too large, or has no places.
+      ConfigError: the level is too large or has no places, or its distractor is within images.
     """
     options = {key: value for key, value in config.env.options.items() if key != "distractor"}
     plain = make_environment(replace(config.env, options=options))
@@ -77,11 +89,11 @@ def find_ground(config: Config, read: Any) -> Ground:
     seen = np.stack([walk.points.observation, following])
     env = make_environment(config.env)
     keys = jax.random.split(jax.random.key(3), REDRAWS)
-    drawn = np.asarray(jax.vmap(lambda key: env.reset(key)[1])(keys))
-    length = seen.shape[2]
-    tail = np.broadcast_to(
-        drawn[:, None, None, length:], (REDRAWS, *seen.shape[:2], *drawn[:, length:].shape[1:])
-    )
+    drawn = np.asarray(jax.vmap(lambda key: look_twice(env, key))(keys))
+    added = drawn[:, :, seen.shape[2] :]
+    if "distractor" in config.env.options and not added.shape[2]:
+        raise ConfigError(f"{config.env.name}: a distractor within images cannot be drawn again")
+    tail = np.broadcast_to(added[:, :, None], (REDRAWS, *seen.shape[:2], *added.shape[2:]))
     whole = np.concatenate([np.broadcast_to(seen, (REDRAWS, *seen.shape)), tail], axis=3)
     frames = read(jnp.asarray(whole.reshape(-1, *whole.shape[3:])))
     return Ground(
@@ -209,20 +221,27 @@ def trace_causes(
     return found
 
 
-def complete_causes(protocol: Protocol, task: Task, out: Path) -> None:
+def complete_causes(protocol: Protocol, task: Task, out: Path) -> bool:
     """Trace the causes of all rows of a task that have results, unless their files are there.
+
+    The level must have no more than `places.MOST_STATES` states: five locked rooms and KeyCorridor
+    have more.
 
     Args:
       protocol: of the trial.
       task: of the rows.
       out: the directory of the trial's results.
 
+    Returns:
+      Whether a row has results.
+
     Raises:
       ConfigError: the level is too large, or has no places.
     """
-    ground = None
+    ground, some = None, False
     for method in protocol.methods.values():
         path, row = (row_path(out, stage, task, method) for stage in ("causes", "rows"))
+        some |= row.exists()
         if path.exists() or not row.exists():
             continue
         stored = json.loads(row.read_text())
@@ -231,7 +250,11 @@ def complete_causes(protocol: Protocol, task: Task, out: Path) -> None:
         probe = build_experiment(config, probe=True)
         if probe.agent.intrinsic is None:
             continue
-        ground = ground or find_ground(config, probe.pool.reader.read)
+        if ground is None:
+            print(f"{task.name}: walking through the level, a minute or two", flush=True)
+            ground = find_ground(config, probe.pool.reader.read)
+        print(f"{task.name}/{method.name}: training {TOGETHER} agents", flush=True)
         found = trace_causes(protocol, task, method, setting, ground)
         write_json(path, {"task": task.name, "method": method.name, "steps": task.steps, **found})
         print(f"{task.name}/{method.name}: {path}", flush=True)
+    return some

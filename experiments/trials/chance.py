@@ -13,20 +13,28 @@ FILE = "chance.json"
 STEPS, ENVS = 10_000_000, 1000
 
 
-def measure_chance(protocol: Protocol, out: Path) -> dict[str, list[int]]:
-    """Return the ended and the solved episodes of random actions for every task, and store them.
+def read_chance(out: Path) -> dict[str, list[int]]:
+    """Return the stored ended and solved episodes of random actions by task; {} if there are none.
+
+    Args:
+      out: the directory of the trial's results.
+    """
+    path = out / FILE
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def measure_chance(protocol: Protocol, out: Path) -> None:
+    """Store the ended and the solved episodes of random actions for every task.
 
     Args:
       protocol: of the trial.
       out: the directory of its results; what its file holds is not measured again.
     """
-    path = out / FILE
-    found: dict[str, list[int]] = json.loads(path.read_text()) if path.exists() else {}
+    found = read_chance(out)
     for task in protocol.tasks.values():
         if task.name not in found:
             found[task.name] = play_task(task)
-            write_json(path, found)
-    return found
+            write_json(out / FILE, found)
 
 
 def play_task(task: Task) -> list[int]:

@@ -80,7 +80,9 @@ def complete_rows(rows: list[tuple[Task, Method]], out: Path, jobs: int) -> list
         try:
             while waiting or running:
                 while waiting and free:
-                    running.append(start_row(*waiting.pop(0), out, free.pop(0)))
+                    row_next = waiting.pop(0)
+                    if not row_path(out, "rows", *row_next).exists():  # by another process
+                        running.append(start_row(*row_next, out, free.pop(0)))
                 for row in list(running):
                     ended = row.process.poll() is not None
                     bars.update(row.name, *read_count(row.log.read_text(errors="replace")))

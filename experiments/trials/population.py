@@ -32,12 +32,14 @@ class Curve(NamedTuple):
       solved: those with a positive score.
       coverage: the distinct places that were visited so far; 0 where the task has none.
       progress: the mean progress of all episodes so far.
+      finite: 1 where every number of the agent is finite.
     """
 
     episodes: np.ndarray
     solved: np.ndarray
     coverage: np.ndarray
     progress: np.ndarray
+    finite: np.ndarray
 
 
 def with_numbers(agent: sndjax.AgentSpec, numbers: dict[str, Any]) -> sndjax.AgentSpec:
@@ -115,10 +117,16 @@ def make_training(experiment: Experiment, iterations: int) -> Callable[..., tupl
 
         def iterate(agent: Agent, _: Any) -> tuple[Agent, Curve]:
             batch, live, reward = collect(actor_of(agent.train), agent.environments)
-            state, *_ = train_step(agent.train, batch)
+            state, metrics, _ = train_step(agent.train, batch)
             score, solved = count_solved(agent.score, reward, batch.rollout.done)
             seen = visit_metrics(live.visits) or {"coverage": 0, "progress": 0.0}
-            row = Curve(batch.rollout.done.sum(), solved, seen["coverage"], seen["progress"])
+            row = Curve(
+                episodes=batch.rollout.done.sum(),
+                solved=solved,
+                coverage=seen["coverage"],
+                progress=seen["progress"],
+                finite=metrics["state_finite"],
+            )
             return Agent(state, live, score), jax.tree.map(jnp.float32, row)
 
         return jax.lax.scan(iterate, agent, length=iterations)
@@ -139,7 +147,7 @@ class Population:
         self.size = config.num_seeds
         self.experiment = build_experiment(config)
         self.init = make_init_states(self.experiment.agent)
-        each = -(-config.iterations // parts)
+        each = config.iterations // parts
         self.begin = jax.jit(map_over_seeds(partial(start_agent, self.experiment), self.size))
         self.program = jax.jit(map_over_seeds(make_training(self.experiment, each), self.size))
 

@@ -16,7 +16,7 @@ class Task(NamedTuple):
     Attributes:
       name: short.
       title: for tables.
-      kind: whole, distractor or pixels.
+      kind: whole, distractor or pixels; results are pooled over all tasks and over each kind.
       arguments: of `sndjax`, besides the common ones.
       steps: agent steps of a run.
     """
@@ -37,7 +37,6 @@ class Method(NamedTuple):
       arguments: of `sndjax`, besides the common ones.
       numbers: the lowest and the highest value by option; drawn evenly in the logarithm.
       choices: the values by option.
-      kinds: of the tasks that it can do; empty: all.
       stage: 1 or 2; the rows of the first are run before those of the second.
     """
 
@@ -46,7 +45,6 @@ class Method(NamedTuple):
     arguments: list[str]
     numbers: dict[str, tuple[float, float]]
     choices: dict[str, list[Any]]
-    kinds: tuple[str, ...]
     stage: int
 
 
@@ -61,6 +59,8 @@ class Protocol(NamedTuple):
       finalists: of them that are tried on more seeds.
       tuning_seeds: the first is for all settings, the others for the finalists.
       seeds: of the rows.
+      reference: the method that others are compared with.
+      primary: the methods that the trial's question is asked of.
     """
 
     common: list[str]
@@ -70,6 +70,8 @@ class Protocol(NamedTuple):
     finalists: int
     tuning_seeds: list[int]
     seeds: list[int]
+    reference: str
+    primary: list[str]
 
     @property
     def agents(self) -> int:
@@ -78,12 +80,7 @@ class Protocol(NamedTuple):
 
     def rows(self) -> list[tuple[Task, Method]]:
         """Return the pairs that are run, in order: all methods of a stage and a task together."""
-        rows = [
-            (task, method)
-            for task in self.tasks.values()
-            for method in self.methods.values()
-            if not method.kinds or task.kind in method.kinds
-        ]
+        rows = [(task, method) for task in self.tasks.values() for method in self.methods.values()]
         return sorted(rows, key=lambda row: row[1].stage)
 
     def find_task(self, name: str) -> Task:
@@ -131,7 +128,6 @@ def read_protocol(path: Path = PROTOCOL) -> Protocol:
                 key: tuple(ends) for key, ends in row.get("numbers", tuned["numbers"]).items()
             },
             choices=row.get("choices", tuned["choices"]),
-            kinds=tuple(row.get("kinds", ())),
             stage=row.get("stage", 1),
         )
         for name, row in found["methods"].items()
@@ -144,4 +140,6 @@ def read_protocol(path: Path = PROTOCOL) -> Protocol:
         finalists=found["finalists"],
         tuning_seeds=list(range(*found["tuning_seeds"])),
         seeds=list(range(*found["seeds"])),
+        reference=found["reference"],
+        primary=found["primary"],
     )

@@ -12,8 +12,9 @@ from .tuning import Setting
 def repeat_row(protocol: Protocol, task: Task, method: Method, out: Path, seeds: int) -> None:
     """Run the first seeds of a row again, and print them beside the stored results.
 
-    Other versions and other kinds of CPU round otherwise, and a run that is rounded otherwise is
-    another run: then the seeds differ, and only their distribution is the same.
+    On the same versions and the same kind of CPU the seeds repeat. What rounds otherwise (other
+    versions, another CPU, one agent in a program in place of four) makes another run of the seed:
+    then only the distribution is the same.
 
     Args:
       protocol: of the trial.
@@ -40,4 +41,4 @@ def repeat_row(protocol: Protocol, task: Task, method: Method, out: Path, seeds:
         solved, coverage = found["solved"][i], found["coverage"][i]
         before, places = stored["solved"][i], stored["coverage"][i]
         print(f"{seed:<6} {solved:<7.4f} {before:<8.4f} {coverage:<9} {places}")
-    print(f"an ordinary run of the first: {found['command']}")
+    print(f"an ordinary run with these settings: {found['command']}")

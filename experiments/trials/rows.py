@@ -56,7 +56,7 @@ def run_row(
       seeds: of the agents.
       report: called after each program.
     """
-    begun = time.monotonic()
+    begun, found_versions = time.monotonic(), versions()
     pairs = [(setting, seed) for seed in seeds]
     curve = train_settings(protocol, task, method, pairs, report)
     scores = score_curve(curve)
@@ -69,16 +69,20 @@ def run_row(
         "solved": [round(float(x), 4) for x in scores.solved],
         "coverage": [int(x) for x in scores.coverage],
         "progress": [round(float(x), 4) for x in scores.progress],
+        "finite": [bool(own.all()) for own in curve.finite],
         "curve": bin_curve(curve),
         "seconds": round(time.monotonic() - begun, 1),
         "steps": task.steps,
         "command": run_command(protocol, task, method, setting, seeds[0]),
-        "versions": versions() | {"machine": platform.machine()},
+        "versions": found_versions | {"machine": platform.machine()},
     }
 
 
 def run_command(protocol: Protocol, task: Task, method: Method, setting: Setting, seed: int) -> str:
-    """Return the command of an ordinary run of one seed of a row.
+    """Return the command of an ordinary run with the settings of a row, and one of its seeds.
+
+    Its numbers are constants of its program and it trains one agent, so that it is rounded
+    otherwise and becomes another run: `sndjax trial repeat=` repeats a row's own.
 
     Args:
       protocol: of the trial.
@@ -98,7 +102,7 @@ def row_path(out: Path, stage: str, task: Task, method: Method) -> Path:
 
     Args:
       out: the directory of the trial's results.
-      stage: "tuning" or "rows".
+      stage: "tuning", "rows" or "causes".
       task: of the row.
       method: of the row.
     """
@@ -106,7 +110,7 @@ def row_path(out: Path, stage: str, task: Task, method: Method) -> Path:
 
 
 def write_json(path: Path, found: dict[str, Any]) -> None:
-    """Write a JSON file whose lists of numbers stand on one line each.
+    """Write a JSON file with one line for each key.
 
     Args:
       path: the file; its directory is made.
@@ -131,7 +135,7 @@ def tuned_setting(
     """
     path = row_path(out, "tuning", task, method)
     if not path.exists():
-        begun = time.monotonic()
+        begun, found_versions = time.monotonic(), versions()
         tuned = tune(protocol, task, method, report)
         found = {
             "task": task.name,
@@ -142,7 +146,7 @@ def tuned_setting(
             "tried": tuned.tried,
             "seconds": round(time.monotonic() - begun, 1),
             "steps": task.steps,
-            "versions": versions() | {"machine": platform.machine()},
+            "versions": found_versions | {"machine": platform.machine()},
         }
         write_json(path, found)
     found = json.loads(path.read_text())

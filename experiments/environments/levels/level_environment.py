@@ -8,6 +8,7 @@ import numpy as np
 import sndjax
 
 from ...config.validation import unknown_name_error
+from ...system.errors import ConfigError
 from .distractors import DISTRACTORS
 from .dynamics import NUM_ACTIONS, count_opened, count_places, find_place, start_state, step_level
 from .fixed_level import Level, load_level
@@ -70,6 +71,8 @@ def make_level(
     Raises:
       ConfigError: the task is not known or has rules of its own, or view or distractor is unknown.
     """
+    if not isinstance(tile, int) or tile < 1:
+        raise ConfigError(f"env.options.tile={tile}: must be a whole number, at least 1")
     if view not in VIEWS:
         raise unknown_name_error("value of env.options.view", view, VIEWS)
     env = make_level_environment(load_level(name, level, **options), view, tile)

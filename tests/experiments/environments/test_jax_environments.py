@@ -193,3 +193,15 @@ def test_load_config_missing_package_says_what_to_install(suite, words, monkeypa
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=words):
         config_of(f"env={suite}", "env.id=x")
+
+
+def test_deep_sea_place_is_the_cell_that_is_seen():
+    needs(["env=gymnax"])
+    env = make_environment(config_of(*TASKS[0][0]).env)
+    key = jax.random.key(0)
+    state, seen = env.reset(key)
+    for t in range(4):
+        assert int(env.place(state)) == int(jnp.argmax(seen.ravel()))
+        state, seen, _, ended, _ = env.step(key, state, jnp.int32(t % 2))
+    assert ended
+    assert 4 * 4 <= int(env.place(state)) < env.num_places

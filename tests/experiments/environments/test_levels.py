@@ -41,7 +41,7 @@ THINGS = {
 }
 HANDS = ("empty", "key", "ball", "full box")
 ID = "MiniGrid-KeyCorridorS3R3-v0"
-step = jax.jit(step_level, static_argnums=())
+step = jax.jit(step_level)
 
 
 def read_state(env, width):
@@ -189,7 +189,11 @@ def test_locked_rooms_every_room_has_its_key_before_its_door():
         for room in range(rooms):
             x, y = task.corner(room)
             inside = grid[y : y + 3, x : x + 3]
-            assert ((inside & 15) == 5).sum() == (room < rooms - 1)
+            keys = inside[(inside & 15) == 5]
+            assert len(keys) == (room < rooms - 1)
+            around = grid[y - 1 : y + 4, x - 1 : x + 4]
+            colours = {int(code >> 4) & 7 for code in around[(around & 15) == 4]}
+            assert {int(code >> 4) & 7 for code in keys} <= colours
 
 
 def test_find_place_cell_hands_and_doors_have_a_number_each():
@@ -251,8 +255,11 @@ def test_television_changes_every_step_and_nothing_else(view):
     noisy = make_level("LockedRooms", view=view, distractor="television")
     (state, before), (_, start) = (env.reset(jax.random.key(0)) for env in (noisy, plain))
     _, after, *_ = noisy.step(jax.random.key(1), state, jnp.int32(0))
+    _, turned, *_ = plain.step(jax.random.key(1), state[0], jnp.int32(0))
     own = len(start)
     np.testing.assert_array_equal(before[:own], start)
+    np.testing.assert_array_equal(after[:own], turned)
+    assert (np.asarray(start) != np.asarray(turned)).any()
     assert (np.asarray(before[own:]) != np.asarray(after[own:])).mean() > 0.9
     assert noisy.num_places == plain.num_places
     assert int(noisy.place(state)) == int(plain.place(state[0]))
@@ -310,6 +317,7 @@ def test_sprites_move_and_only_brighten():
         ("MiniGrid-Fetch-5x5-N2-v0", {}, "rules of its own"),
         ("MiniGrid-Unlock-v0", {}, "rules of its own"),
         ("LockedRooms", {"view": "maps"}, "did you mean map"),
+        ("LockedRooms", {"tile": 0, "view": "pixels"}, "tile=0: must be"),
         ("LockedRooms", {"distractor": "tv"}, "television"),
     ],
 )

@@ -4,10 +4,13 @@ from scipy import stats
 
 from experiments.reporting import seed_statistics
 from experiments.reporting.seed_statistics import (
+    RESAMPLES,
     bootstrap_interval,
     exponential_smoothing,
     interquartile_mean,
+    joint_improvement,
     mean_improvement,
+    pooled_interquartile_mean,
     probability_of_improvement,
 )
 
@@ -107,6 +110,42 @@ def test_mean_improvement_compares_the_runs_of_a_task_once(monkeypatch):
     pairs = [(np.arange(float(n)), np.arange(1.0, 4.0)) for n in (5, 6, 7)]
     assert mean_improvement(pairs)[1] is not None
     assert compared == [5, 6, 7]
+
+
+def test_pooled_interquartile_mean_equals_a_loop_over_resamples():
+    random = np.random.default_rng(5)
+    tasks = [random.random(9), random.random(12) ** 3]
+    value, (low, high) = pooled_interquartile_mean(tasks)
+    assert value == pytest.approx(stats.trim_mean(np.concatenate(tasks), 0.25))
+    random = np.random.default_rng(0)
+    drawn = [random.integers(0, len(task), (RESAMPLES, len(task))) for task in tasks]
+    found = [
+        stats.trim_mean(
+            np.concatenate([task[rows[k]] for task, rows in zip(tasks, drawn, strict=True)]), 0.25
+        )
+        for k in range(RESAMPLES)
+    ]
+    assert (low, high) == pytest.approx(tuple(np.quantile(found, [0.025, 0.975])))
+
+
+def test_joint_improvement_of_one_method_has_the_rate_of_mean_improvement():
+    random = np.random.default_rng(3)
+    pairs = [(random.random(20) + 0.2, random.random(25)) for _ in range(3)]
+    value, interval = joint_improvement([([ours], theirs) for ours, theirs in pairs])
+    expected, other = mean_improvement(pairs)
+    assert value == pytest.approx(expected)
+    assert interval == pytest.approx(other, abs=0.03)  # other draws of the same bootstrap
+
+
+def test_joint_improvement_draws_the_compared_runs_once_for_all_methods():
+    """Two equal methods without noise of their own: their mean varies as one of them does."""
+    theirs = np.random.default_rng(1).random(10)
+    ours = np.full(10, 0.5)
+    one = joint_improvement([([ours], theirs)], 0.9)
+    two = joint_improvement([([ours, ours], theirs)], 0.9)
+    assert two[0] == one[0]
+    assert two[1][1] - two[1][0] == pytest.approx(one[1][1] - one[1][0], abs=0.051)
+    assert one[1][1] - one[1][0] > 0.3
 
 
 def test_exponential_smoothing_curve_equals_the_recursion():

@@ -17,7 +17,8 @@ from experiments.trials import chance, launcher, tuning
 from experiments.trials.page import write_page
 from experiments.trials.population import Curve, Population
 from experiments.trials.protocol import read_protocol
-from experiments.trials.rows import bin_curve, complete_row, row_path
+from experiments.trials.rows import bin_curve, complete_row, row_path, run_command
+from experiments.trials.tables import read_rows
 from experiments.trials.tuning import draw_settings, score_curve, tune
 
 SMALL = ["env=levels", "env.id=MiniGrid-Empty-5x5-v0", "env.options.max_steps=20"]
@@ -50,7 +51,7 @@ def test_score_curve_counts_the_last_fifth_of_the_run():
     episodes = np.array([[9, 9, 9, 9, 9, 9, 9, 9, 3, 5], [1] * 8 + [0, 0]])
     solved = np.array([[0] * 8 + [1, 3], [1] * 8 + [0, 0]])
     coverage = np.cumsum(np.ones((2, 10)), 1)
-    scores = score_curve(Curve(episodes, solved, coverage, coverage / 2))
+    scores = score_curve(Curve(episodes, solved, coverage, coverage / 2, coverage))
     assert scores.solved.tolist() == [4 / 8, 0.0]  # the second agent ended no episode there
     assert scores.coverage.tolist() == [10, 10]
     assert scores.progress.tolist() == [5, 5]
@@ -58,7 +59,7 @@ def test_score_curve_counts_the_last_fifth_of_the_run():
 
 def test_bin_curve_sums_episodes_and_reads_places_at_the_ends():
     each = np.arange(40.0)[None]
-    found = bin_curve(Curve(each, each, each, each))
+    found = bin_curve(Curve(each, each, each, each, each))
     assert found["episodes"] == [[2 * i + 2 * i + 1 for i in range(20)]]
     assert found["coverage"] == [[2 * i + 1 for i in range(20)]]
 
@@ -66,7 +67,8 @@ def test_bin_curve_sums_episodes_and_reads_places_at_the_ends():
 def test_draw_settings_same_for_methods_of_the_same_ranges_and_within_them():
     protocol = read_protocol()
     drawn = {name: draw_settings(m, protocol.settings) for name, m in protocol.methods.items()}
-    assert drawn["rnd"] == drawn["snd_vic"] == drawn["icm"]
+    assert drawn["snd_v"] == drawn["snd_vic"] == drawn["icm"]
+    assert [s.numbers for s in drawn["rnd"]] == [s.numbers for s in drawn["snd_vic"]]
     for name, settings in drawn.items():
         method = protocol.methods[name]
         assert len(settings) == 32
@@ -94,7 +96,7 @@ def test_tune_finds_the_best_by_solved_then_coverage(monkeypatch):
             seen.append((i, seed))
             rows.append((solved.get(i, [0, 0, 0])[seed], 10 * i))
         shape = lambda k: np.array([[row[k]] for row in rows], float)
-        return Curve(np.ones((len(rows), 1)), shape(0), shape(1), shape(1))
+        return Curve(np.ones((len(rows), 1)), shape(0), shape(1), shape(1), shape(1))
 
     monkeypatch.setattr(tuning, "train_settings", play)
     found = tune(protocol, task, method)
@@ -143,6 +145,69 @@ def test_complete_row_writes_its_search_and_seeds_and_the_page_shows_them(tmp_pa
     assert task.title in page
     assert "SND-VIC" in page
     assert (tmp_path / "images" / "seeds.png").stat().st_size > 1000
+
+
+def write_row(out, protocol, task, method, solved, searched=0.0):
+    """Write the files of a row as if it had been run."""
+    setting = draw_settings(method, protocol.settings)[0]
+    count = len(solved)
+    found = {
+        "numbers": setting.numbers,
+        "choices": setting.choices,
+        "solved": solved,
+        "coverage": [int(100 * x) for x in solved],
+        "progress": solved,
+        "finite": [True] * count,
+        "curve": {name: [[1, 1]] * count for name in ("episodes", "solved")},
+        "seconds": 1.0,
+        "steps": task.steps,
+        "command": run_command(protocol, task, method, setting, protocol.seeds[0]),
+        "versions": {},
+    }
+    tried = [{"solved": [searched] * 5, "coverage": [0]}, {"solved": [1.0], "coverage": [9]}]
+    for stage, content in (("rows", found), ("tuning", {"tried": tried})):
+        path = row_path(out, stage, task, method)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content))
+
+
+def test_write_page_answers_with_the_methods_against_rnd(tmp_path):
+    protocol = read_protocol()
+    first, second, *_ = protocol.tasks.values()
+    scores = {
+        "snd_v": [0.9, 0.8],
+        "snd_std": [0.9, 0.8],
+        "snd_vic": [0.0, 0.1],
+        "snd_vinv": [0.5] * 2,
+    }
+    for task in (first, second):
+        write_row(tmp_path, protocol, task, protocol.methods["rnd"], [0.5, 0.5])
+        for name, solved in scores.items():
+            best = 0.7 if name == "snd_vic" else 0.2
+            write_row(tmp_path, protocol, task, protocol.methods[name], solved, best)
+    write_page(protocol, tmp_path)
+    page = (tmp_path / "rows.md").read_text()
+    # 1, 1, 0 and 1/2, each the same in every resample; the best in the search is the worst here.
+    assert (
+        "SND-V, SND-STD, SND-VIC, SND-VINV > a run of RND), mean over methods and tasks | 0.62"
+        in page
+    )
+    assert "best in the search of each task | 0.00 [0.00, 0.00] | no |" in page
+    assert "2 tasks; 8 are not complete; intervals of 97.5%" in page
+    assert "| SND-V | all | 2 | 0.85 [0.80, 0.90] | 0.50 [0.50, 0.50] | 1.00 [1.00, 1.00] |" in page
+    assert (
+        "| SND-VIC | all | 2 | 0.05 [0.00, 0.10] | 0.50 [0.50, 0.50] | 0.00 [0.00, 0.00] |" in page
+    )
+
+
+def test_read_rows_of_another_protocol_is_refused(tmp_path):
+    protocol = read_protocol()
+    task, method = protocol.find_row("rooms/rnd")
+    write_row(tmp_path, protocol, task, method, [0.5])
+    assert list(read_rows(protocol, tmp_path)) == [("rooms", "rnd")]
+    changed = protocol._replace(common=[*protocol.common, "num_envs=16"])
+    with pytest.raises(ConfigError, match="another protocol"):
+        read_rows(changed, tmp_path)
 
 
 def fake_row(code):
