@@ -157,6 +157,7 @@ def test_run_help_explains_every_option(tmp_path):
         assert word in out
 
 
+@pytest.mark.exhaustive
 def test_run_novelty_only_and_other_games_train(tmp_path):
     train(tmp_path / "car", *CAR, "algo=snd_vic", "ppo.ext_weight=0", "total_steps=256")
     train(

@@ -30,7 +30,7 @@ def quick(monkeypatch):
             ["env=MountainCar", "env.suite=gymnax", "algo=rnd", MODULE],
             marks=pytest.mark.exhaustive,
         ),
-        ["env=Coinrun", "network=small", "algo=ppo"],
+        pytest.param(["env=Coinrun", "network=small", "algo=ppo"], marks=pytest.mark.exhaustive),
         ["env=gymnasium", "env.id=CartPole-v1", "algo=snd_vic", MODULE, "overlap=1", "--whole"],
     ],
 )

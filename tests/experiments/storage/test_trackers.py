@@ -30,6 +30,7 @@ def stored(tmp_path):
     return found
 
 
+@pytest.mark.survival
 def test_trackers_mlflow_killed_run_has_every_line_once(tmp_path, monkeypatch):
     pytest.importorskip("mlflow")
     monkeypatch.setenv("MLFLOW_ALLOW_FILE_STORE", "true")

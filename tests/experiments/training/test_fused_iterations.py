@@ -223,6 +223,7 @@ def test_run_bad_environment_is_refused_with_one_line(tmp_path):
     assert "Traceback" not in err
 
 
+@pytest.mark.survival
 def test_run_two_processes_train_together(tmp_path):
     with socket.socket() as free:
         free.bind(("localhost", 0))

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import pytest
 from helpers.processes import ROOT
 
 SLOW = ["env=gymnasium", "env.id=examples.slow_environment:Slow-v0", "algo=snd_vic"]
@@ -22,6 +23,7 @@ def measured(*arguments):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.exhaustive  # half a minute; tests/experiments/training/test_overlap.py is exact
 def test_bench_overlap_of_an_environment_that_sleeps_has_the_rate_of_the_slower_part():
     tries = []
     for _ in range(5):  # other work on this machine may disturb one measurement

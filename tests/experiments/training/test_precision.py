@@ -50,7 +50,8 @@ def test_at_precision_two_functions_traced_late_keep_their_own():
     assert set(PRECISIONS) == {"float32", "tf32", "bf16"}
 
 
-@pytest.mark.parametrize("precision", ["bf16", pytest.param("tf32", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("precision", ["bf16", "tf32"])
 def test_run_mountaincar_at_fewer_bits_learns_the_task(precision, tmp_path):
     """Repeat most of seed 0 of the table in docs/overlap.md."""
     arguments = ["env=MountainCar", "algo=snd_vic", "algo.eta=10", f"precision={precision}"]
