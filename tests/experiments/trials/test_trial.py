@@ -17,6 +17,7 @@ from experiments.trials import chance, launcher, tuning
 from experiments.trials.page import write_page
 from experiments.trials.population import Curve, Population
 from experiments.trials.protocol import read_protocol
+from experiments.trials.repeat import repeat_row
 from experiments.trials.rows import bin_curve, complete_row, row_path, run_command
 from experiments.trials.tables import read_rows
 from experiments.trials.tuning import draw_settings, score_curve, tune
@@ -124,7 +125,9 @@ def small_protocol():
     )
 
 
-def test_complete_row_writes_its_search_and_seeds_and_the_page_shows_them(tmp_path, monkeypatch):
+def test_complete_row_writes_its_search_and_seeds_which_page_and_repeat_show(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(chance, "STEPS", 2000)
     monkeypatch.setattr(chance, "ENVS", 100)
     protocol = small_protocol()
@@ -140,6 +143,13 @@ def test_complete_row_writes_its_search_and_seeds_and_the_page_shows_them(tmp_pa
     before = os.stat(row_path(tmp_path, "rows", task, protocol.methods["rnd"])).st_mtime_ns
     complete_row(protocol, task, protocol.methods["rnd"], tmp_path)
     assert os.stat(row_path(tmp_path, "rows", task, protocol.methods["rnd"])).st_mtime_ns == before
+    assert "5 of 5 agents" in capsys.readouterr().out  # 2 settings, a finalist again, 2 seeds
+    repeat_row(protocol, task, protocol.methods["rnd"], tmp_path, 1)
+    seed, solved, stored, coverage, places = capsys.readouterr().out.splitlines()[4].split()
+    assert (seed, float(solved)) == ("7", found["solved"][0])
+    assert (solved, coverage) == (stored, places)
+    chance.measure_chance(protocol, tmp_path)
+    assert chance.read_chance(tmp_path)[task.name][0] >= 100
     write_page(protocol, tmp_path)
     page = (tmp_path / "rows.md").read_text()
     assert task.title in page
