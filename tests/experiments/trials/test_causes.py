@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 import sndjax
+from experiments.config.compose import load_config
 from experiments.environments.levels.level_environment import make_level
 from experiments.system.errors import ConfigError
 from experiments.trials import places
 from experiments.trials.causes import (
     Ground,
+    find_ground,
     rank_correlation,
     read_agent,
     read_module,
@@ -160,3 +162,26 @@ def test_trace_causes_small_level_reads_every_figure_at_every_tenth():
     assert all(own[-1] > 0.5 for own in found["visited"])
     assert all(0 < share < 1 for own in found["distractor_share"] for share in own)
     assert len({own[5] for own in found["rank_correlation"]}) == 4
+
+
+@pytest.mark.parametrize("distractor", ["television", "sprites", "colours"])
+def test_find_ground_draws_what_a_distractor_adds_and_nothing_else(distractor):
+    arguments = ["env=levels", "env.id=MiniGrid-Empty-5x5-v0", "algo=rnd"]
+    config = load_config([*arguments, f"env.options.distractor={distractor}"])
+    plain = find_ground(load_config(arguments), jnp.asarray)
+    ground = find_ground(config, jnp.asarray)
+    own = plain.frames.shape[-1]
+    np.testing.assert_array_equal(ground.frames[..., :own], plain.frames)
+    added = np.asarray(ground.frames[..., own:])  # [draws, here and after, places, numbers]
+    assert added.shape[-1] == 24
+    assert len({draw.tobytes() for draw in added[:, 0, 0]}) > 4
+    np.testing.assert_array_equal(added, np.broadcast_to(added[:, :, :1], added.shape))
+    moved = (added[:, 0] != added[:, 1]).any()
+    assert moved == (distractor != "colours")
+
+
+def test_find_ground_distractor_within_images_is_refused():
+    arguments = ["env=levels", "env.id=MiniGrid-Empty-8x8-v0", "env.options.view=pixels"]
+    arguments += ["algo=rnd", "network=small", "env.options.distractor=colours"]
+    with pytest.raises(ConfigError, match="within images"):
+        find_ground(load_config(arguments), jnp.asarray)
