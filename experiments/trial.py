@@ -36,17 +36,19 @@ class Options:
 def trial(paths: list[Path], options: Options) -> None:
     """Run what is asked for."""
     from .trials import stages
+    from .trials.page import write_page
     from .trials.protocol import read_protocol
+    from .trials.repeat import repeat_row
 
     protocol, out = read_protocol(), Path(options.out)
     if options.complete is not None:
         stages.complete_in_process(protocol, options.complete, out, options.core)
     elif options.repeat is not None:
-        stages.repeat(protocol, options.repeat, out, options.seeds)
+        repeat_row(protocol, *protocol.find_row(options.repeat), out, options.seeds)
     elif options.causes is not None:
         stages.trace(protocol, options.causes.split(","), out)
     elif options.page:
-        stages.write(protocol, out)
+        write_page(protocol, out)
     else:
         stages.run(protocol, options.only and options.only.split(","), out, options.jobs)
 

@@ -5,7 +5,6 @@ of the same shapes.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +16,7 @@ import sndjax
 
 from ..config.schema import Config
 from ..training.agents import make_init_states, make_seed_train_step
-from ..training.experiment import START_STREAM, Experiment, build_experiment
+from ..training.experiment import Experiment, build_experiment
 from ..training.fused_iterations import visit_metrics
 from ..training.policy_lag import actor_of
 from ..training.scan_collector import make_jax_collect
@@ -30,7 +29,7 @@ class Curve(NamedTuple):
     Attributes:
       episodes: that ended.
       solved: those with a positive score.
-      coverage: the distinct places that were visited so far; 0 where the task has none.
+      coverage: the distinct places that were visited so far.
       progress: the mean progress of all episodes so far.
       finite: 1 where every number of the agent is finite.
     """
@@ -64,21 +63,6 @@ class Agent(NamedTuple):
     score: Float[Array, " N"]  # of the running episodes
 
 
-def start_agent(experiment: Experiment, train: sndjax.TrainState) -> Agent:
-    """Return an agent before its first iteration, with the environments of an ordinary run.
-
-    Args:
-      experiment: of environments in jax.
-      train: its state.
-    """
-    config, env = experiment.config, experiment.pool.environment
-    assert env is not None
-    key = jax.random.fold_in(train.key, START_STREAM)
-    network = experiment.agent.network
-    live = sndjax.init_environments(env, key, config.num_envs, config.env.stack, network)
-    return Agent(train, live, jnp.zeros(config.num_envs))
-
-
 def count_solved(score: Any, rewards: Any, done: Any) -> tuple[Any, Any]:
     """Return the scores of the running episodes after a rollout, and how many ended above 0.
 
@@ -101,7 +85,7 @@ def make_training(experiment: Experiment, iterations: int) -> Callable[..., tupl
     """Return a function that trains one agent for some iterations, not jitted.
 
     Args:
-      experiment: of environments in jax.
+      experiment: of environments in jax, with places.
       iterations: their number.
 
     Returns:
@@ -119,7 +103,7 @@ def make_training(experiment: Experiment, iterations: int) -> Callable[..., tupl
             batch, live, reward = collect(actor_of(agent.train), agent.environments)
             state, metrics, _ = train_step(agent.train, batch)
             score, solved = count_solved(agent.score, reward, batch.rollout.done)
-            seen = visit_metrics(live.visits) or {"coverage": 0, "progress": 0.0}
+            seen = visit_metrics(live.visits)
             row = Curve(
                 episodes=batch.rollout.done.sum(),
                 solved=solved,
@@ -148,7 +132,7 @@ class Population:
         self.experiment = build_experiment(config)
         self.init = make_init_states(self.experiment.agent)
         each = config.iterations // parts
-        self.begin = jax.jit(map_over_seeds(partial(start_agent, self.experiment), self.size))
+        self.begin = jax.jit(self.experiment.init_environments)
         self.program = jax.jit(map_over_seeds(make_training(self.experiment, each), self.size))
 
     def start(self, seeds: list[int]) -> Agent:
@@ -157,7 +141,9 @@ class Population:
         Args:
           seeds: one for each.
         """
-        return self.begin(self.init(seeds, self.experiment.example))
+        train = self.init(seeds, self.experiment.example)
+        score = jnp.zeros((self.size, self.experiment.config.num_envs))
+        return Agent(train, self.begin(train), score)
 
     def train(self, agents: Agent, numbers: dict[str, list[float]]) -> tuple[Agent, Curve]:
         """Train agents side by side for one part, each with its numbers.

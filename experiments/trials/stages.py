@@ -10,7 +10,6 @@ from .chance import measure_chance
 from .launcher import LOGS, complete_rows, missing_rows
 from .page import write_page
 from .protocol import Protocol
-from .repeat import repeat_row
 from .rows import complete_row
 
 MOST_NAMES = 5  # of rows that failed, in a message
@@ -30,18 +29,6 @@ def complete_in_process(protocol: Protocol, name: str, out: Path, core: int) -> 
     complete_row(protocol, *protocol.find_row(name), out)
 
 
-def repeat(protocol: Protocol, name: str, out: Path, seeds: int) -> None:
-    """Run the first seeds of a row again, beside its results.
-
-    Args:
-      protocol: of the trial.
-      name: of the row, TASK/METHOD.
-      out: the directory of its results.
-      seeds: how many.
-    """
-    repeat_row(protocol, *protocol.find_row(name), out, seeds)
-
-
 def trace(protocol: Protocol, names: Sequence[str], out: Path) -> None:
     """Trace the causes of the rows of some tasks.
 
@@ -56,16 +43,6 @@ def trace(protocol: Protocol, names: Sequence[str], out: Path) -> None:
     for task in [protocol.find_task(name.strip()) for name in names]:
         if not complete_causes(protocol, task, out):
             raise ConfigError(f"causes={task.name}: no row of it has results in {out} yet")
-
-
-def write(protocol: Protocol, out: Path) -> None:
-    """Write the page of the results.
-
-    Args:
-      protocol: of the trial.
-      out: the directory of its results.
-    """
-    write_page(protocol, out)
 
 
 def run(protocol: Protocol, only: Sequence[str] | None, out: Path, jobs: int) -> None:

@@ -43,13 +43,13 @@ def read_rows(protocol: Protocol, out: Path) -> Rows:
         setting = Setting(row["numbers"], row["choices"])
         if row["command"] != run_command(protocol, task, method, setting, protocol.seeds[0]):
             raise ConfigError(f"{path} was run under another protocol; move it away")
-        row["tuning"] = tuning_mean(row_path(out, "tuning", task, method))
+        row["search"] = search_result(row_path(out, "tuning", task, method))
         found[task.name, method.name] = row
     return found
 
 
-def tuning_mean(path: Path) -> float:
-    """Return the mean score on the tuning seeds of the setting that a search chose.
+def search_result(path: Path) -> tuple[float, float]:
+    """Return mean score and mean coverage on the tuning seeds of the setting that was chosen.
 
     Args:
       path: the file of the search.
@@ -57,7 +57,8 @@ def tuning_mean(path: Path) -> float:
     tried = json.loads(path.read_text())["tried"]
     most = max(len(row["solved"]) for row in tried)
     finalists = [row for row in tried if len(row["solved"]) == most]
-    return float(np.mean(finalists[rank(finalists)[0]]["solved"]))
+    best = finalists[rank(finalists)[0]]
+    return float(np.mean(best["solved"])), float(np.mean(best["coverage"]))
 
 
 def with_interval(value: float, interval: Any) -> str:
@@ -154,7 +155,7 @@ def answer_lines(protocol: Protocol, rows: Rows) -> list[str]:
     values = lambda task, name: np.array(rows[task, name]["solved"], float)
     theirs = {task: values(task, protocol.reference) for task in tasks}
     every = [([values(t, name) for name in protocol.primary], theirs[t]) for t in tasks]
-    best = lambda task: max(protocol.primary, key=lambda name: rows[task, name]["tuning"])
+    best = lambda task: max(protocol.primary, key=lambda name: rows[task, name]["search"])
     chosen = [([values(task, best(task))], theirs[task]) for task in tasks]
     titles = ", ".join(protocol.methods[name].title for name in protocol.primary)
     questions = {
@@ -245,7 +246,7 @@ def setting_table(protocol: Protocol, rows: Rows) -> list[str]:
         numbers = [f"{name}={value:.2g}" for name, value in row["numbers"].items()]
         chosen = [f"{name}={value}" for name, value in row["choices"].items()]
         title = f"{protocol.tasks[task].title}, {protocol.methods[method].title}"
-        means = [f"{value:.2f}" for value in (row["tuning"], np.mean(row["solved"]))]
+        means = [f"{value:.2f}" for value in (row["search"][0], np.mean(row["solved"]))]
         broken = str(row["finite"].count(False))
         lines.append(
             (title, [", ".join(numbers + chosen), *means, broken, f"{row['seconds']:.0f}"])

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from .dynamics import LevelState
-from .fixed_level import PORTABLE, STATE, Level
+from .fixed_level import CLOSED, COLOUR, DOOR, LOCKED, OPEN, PORTABLE, STATE, Level
 
 LOOK_BITS = (1 << 9) - 1  # type, colour and state, which is what minigrid draws
 View = Callable[[LevelState], Any]
@@ -60,11 +60,14 @@ def draw_tiles(level: Level, side: int) -> np.ndarray:
     codes = {1, *(int(code) & LOOK_BITS for code in level.grid.ravel())}
     codes |= {int(code) & LOOK_BITS for code in level.portable}
     codes |= {
-        code & ~(3 << STATE) | s << STATE for code in codes if code & 15 == 4 for s in (0, 1, 2)
+        code & ~(3 << STATE) | s << STATE
+        for code in codes
+        if code & 15 == DOOR
+        for s in (OPEN, CLOSED, LOCKED)
     }
     tiles = np.zeros((LOOK_BITS + 1, 5, side, side, 3), np.uint8)
     for code in codes:
-        thing = WorldObj.decode(code & 15, (code >> 4) & 7, code >> STATE)
+        thing = WorldObj.decode(code & 15, (code >> COLOUR) & 7, code >> STATE)
         for direction in (None, 0, 1, 2, 3):
             which = 0 if direction is None else 1 + direction
             tiles[code, which] = Grid.render_tile(thing, direction, tile_size=side)
