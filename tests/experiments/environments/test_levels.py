@@ -230,6 +230,7 @@ def test_map_view_start_of_a_small_level_is_written_out():
 
 def test_collect_visits_count_the_states_of_a_python_loop():
     env = make_level("LockedRooms", rooms=2, size=2, max_steps=9)
+    env = env._replace(progress=lambda state: state.position.astype(jnp.float32))
     live = sndjax.init_environments(env, jax.random.key(0), 3)
     seen = {int(env.place(jax.tree.map(lambda x, i=i: x[i], live.state))) for i in range(3)}
     progress, episodes = 0.0, 0
@@ -246,7 +247,7 @@ def test_collect_visits_count_the_states_of_a_python_loop():
                 progress, episodes = progress + float(env.progress(state)), episodes + 1
     assert set(np.flatnonzero(live.visits.visited)) == seen
     assert int(live.visits.episodes) == episodes > 10
-    assert float(live.visits.progress) == progress
+    assert float(live.visits.progress) == progress > 0
 
 
 @pytest.mark.parametrize("view", ["map", "pixels"])

@@ -27,8 +27,12 @@ from experiments.trials.tuning import Setting
 GRID = 4
 
 
-def walled_grid():
-    """Return a grid of cells with four moves, and a wall between its halves that has one gap."""
+def walled_grid(end=-1):
+    """Return a grid of cells with four moves, and a wall between its halves that has one gap.
+
+    Args:
+      end: the cell that ends an episode; -1: none.
+    """
 
     def see(at):
         return jax.nn.one_hot(at, GRID * GRID)
@@ -40,8 +44,7 @@ def walled_grid():
         crosses = (row != to[0]) & (jnp.maximum(row, to[0]) == GRID // 2)
         blocked = crosses & (column != GRID - 1)
         at = jnp.where(blocked, at, to[0] * GRID + to[1]).astype(jnp.int32)
-        no = jnp.zeros((), bool)
-        return at, see(at), jnp.float32(0), no, no
+        return at, see(at), jnp.float32(0), at == end, jnp.zeros((), bool)
 
     reset = lambda key: (jnp.int32(0), see(0))
     return sndjax.JaxEnvironment(reset, step, 4, place=lambda at: at, num_places=GRID * GRID)
@@ -63,6 +66,12 @@ def test_walk_and_steps_between_walled_grid_equal_the_closed_form():
     between = steps_between(env, walk, np.arange(len(walk.places)))
     for i, source in enumerate(walk.places):
         assert between[i].tolist() == [expected_steps(source, place) for place in walk.places]
+
+
+def test_walk_level_does_not_leave_a_state_that_ends_an_episode():
+    gap = GRID * GRID // 2 - 1  # the only way to the other half
+    walk = walk_level(walled_grid(end=gap))
+    assert sorted(walk.places) == list(range(GRID * GRID // 2))
 
 
 def test_walk_level_empty_level_equals_a_search_in_minigrid():
